@@ -26,9 +26,8 @@ ABSL_FLAG(std::string, envservers, "127.0.0.1:50061",
           "learner (craftfleet-envserver --learner=...)");
 ABSL_FLAG(std::string, frames, "scene",
           "how frames travel: raw or scene\n"
-          "scene: as records of a few hundred bytes, from which this program and the learner draw the same frames. If "
-          "either\n"
-          "cannot draw them, frames travel raw");
+          "scene: as records of a few hundred bytes, from which this program and the learner draw the same frames.\n"
+          "If either cannot draw them, frames travel raw");
 ABSL_FLAG(int32_t, max_lanes, 4096,
           "maximum number of games to play side by side, 1..4096; the learner assigns each actor its share");
 

@@ -65,14 +65,6 @@ std::optional<PatchGrid> PatchesOf(const AgentSpec& spec) {
   return PatchGrid{spec.frame_size, spec.network.patch(), spec.network.stride()};
 }
 
-// `weights` on `device` in the order in which snapshots are there: a GPU chooses its kernels by where numbers lie, and
-// the same weights are to act alike wherever they come from. Throws c10::Error.
-ParamTensors SendWeights(const AgentSpec& spec, absl::Span<const float> weights, at::Device device) {
-  std::vector<float> aligned = Align(spec, weights);
-  const at::Tensor host = at::from_blob(aligned.data(), {static_cast<int64_t>(aligned.size())});
-  return ParamsOf(AlignedSpec(spec), host.to(device, at::kFloat, /*non_blocking=*/false, /*copy=*/true));
-}
-
 // While it lives, the calling thread computes on `stream`; null: as before.
 class OnStream {
  public:
@@ -149,7 +141,10 @@ absl::StatusOr<std::unique_ptr<const Policy>> Policy::Create(const AgentSpec& sp
   return Make(spec, tile, device, device == kCpuDevice ? values : nullptr, [&] {
     const auto span = absl::MakeSpan(const_cast<float*>(values.get()), spec.param_count);
     if (device == kCpuDevice) return std::make_unique<const PolicyNet>(spec, PolicyNet::Use::kActing, span);
-    return std::make_unique<const PolicyNet>(spec, SendWeights(spec, span, at::Device(device)));
+    // In the order of snapshots: a GPU chooses its kernels by where numbers lie, and the same weights are to act alike
+    // wherever they come from.
+    const at::Tensor flat = SendFloats(Align(spec, span), at::Device(device));
+    return std::make_unique<const PolicyNet>(spec, ParamsOf(AlignedSpec(spec), flat));
   });
 }
 

@@ -30,6 +30,12 @@ ParamTensors ParamsOf(const AgentSpec& spec, const at::Tensor& weights) {
   return params;
 }
 
+at::Tensor SendFloats(const std::vector<float>& values, at::Device device) {
+  const auto count = static_cast<int64_t>(values.size());
+  const at::Tensor host = at::from_blob(const_cast<float*>(values.data()), {count}, at::kFloat);
+  return host.to(device, at::kFloat, /*non_blocking=*/false, /*copy=*/true);
+}
+
 PolicyNet::PolicyNet(const AgentSpec& spec, Use use, absl::Span<float> weights)
     : params_(ParamsOf(spec, at::from_blob(weights.data(), {static_cast<int64_t>(weights.size())}))),
       network_(MakeNetwork(spec.network)) {

@@ -13,6 +13,7 @@
 
 #include <ATen/core/Tensor.h>
 #include <absl/types/span.h>
+#include <c10/core/Device.h>
 
 #include "common/agent/agent_spec.h"
 #include "common/agent/nets/network.h"
@@ -26,6 +27,9 @@ Network MakeNetwork(const v1::NetworkConfig& config);
 
 // Views of `weights`, float[spec.param_count] on any device, as the parameters of the agent's network.
 ParamTensors ParamsOf(const AgentSpec& spec, const at::Tensor& weights);
+
+// `values`, float[n], on `device`. Waits for the copy. Throws c10::Error.
+at::Tensor SendFloats(const std::vector<float>& values, at::Device device);
 
 // Computes on weights in a flat array that it does not own (AgentSpec's order), so that replicas share them and an
 // optimiser writes them in place. Thread-compatible; without gradients, several threads may call Forward. Source:

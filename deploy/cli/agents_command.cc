@@ -38,8 +38,9 @@ achievement_distillation with a small residual network on the 9x9 cells of the p
 ppo_cnn.
 ppo_resnet and achievement_distillation are from Moon et al. 2023, those before them from Stanic et al. 2022. Where that
 paper differs from its published code, the plain name follows the paper, except in the critic of recurrent agents, the frames of
-OC-SA and OC-CA, and OC-SA's patches and size of the CLS token. NAME_published follows the code in all but lanes: with its learning rate (1e-4), deaths
-at the length limit and, for recurrent agents, minibatches. ppo_resnet_published has the optimiser and advantages of its code.
+OC-SA and OC-CA, and OC-SA's patches and size of the CLS token. NAME_published follows the code in all but lanes and fragments:
+with its learning rate (1e-4), deaths at the length limit and, for recurrent agents, minibatches. ppo_resnet_published has the
+optimiser and advantages of its code.
 "memory" is the change of features at the last achievement, "goals" the layers that distillation trains.
 A configuration file (--config) may change any part of a network, for example: agent: "oc_ca" network { slots: 4 layer_norm: true }
 )";

@@ -6,7 +6,7 @@
 #include <c10/core/GradMode.h>
 #include <torch/version.h>
 
-#include "learner/ppo/device_rollout.h"
+#include "common/agent/policy_net.h"
 
 namespace craftfleet {
 namespace {

@@ -105,12 +105,6 @@ at::Tensor HostTensor(at::IntArrayRef shape, at::ScalarType type, at::Device dev
   return at::empty(shape, at::TensorOptions(type).pinned_memory(device.is_cuda()));
 }
 
-at::Tensor SendFloats(const std::vector<float>& values, at::Device device) {
-  const auto count = static_cast<int64_t>(values.size());
-  const at::Tensor host = at::from_blob(const_cast<float*>(values.data()), {count}, at::kFloat);
-  return host.to(device, at::kFloat, /*non_blocking=*/false, /*copy=*/true);
-}
-
 DeviceRollout SendRollout(const Rollout& rollout, const AgentSpec& spec, at::Device device) {
   DeviceRollout there;
   there.frames = SendFrames(rollout, spec, device);

@@ -19,9 +19,6 @@ namespace craftfleet {
 // c10::Error.
 at::Tensor HostTensor(at::IntArrayRef shape, at::ScalarType type, at::Device device);
 
-// `values`, float[n], on `device`. Waits for the copy. Throws c10::Error.
-at::Tensor SendFloats(const std::vector<float>& values, at::Device device);
-
 // n rows and after them one of zeros, the padding, whose weight is 1.
 struct DeviceRollout {
   at::Tensor frames;      // uint8[n+1,H,W,3]

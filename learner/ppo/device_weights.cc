@@ -8,7 +8,6 @@
 #include "common/agent/aligned_weights.h"
 #include "common/agent/policy_net.h"
 #include "common/base/check.h"
-#include "learner/ppo/device_rollout.h"
 
 namespace craftfleet {
 

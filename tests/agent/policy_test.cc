@@ -205,6 +205,7 @@ TEST(Policy, ActsOnADeviceAsOnTheCpu) {
 }
 
 TEST(Policy, LooksIntoASnapshotOnItsDevice) {
+  const at::Device stand_in(kStandInDevice);
   for (const std::string text :
        {R"(agent: "lstm_cnn" network { frame_size: 40 })", R"(agent: "oc_sa" network { frame_size: 20 })",
         R"(agent: "ppo_cnn" network { frame_size: 40 } precision: BF16)"}) {
@@ -214,8 +215,7 @@ TEST(Policy, LooksIntoASnapshotOnItsDevice) {
     const std::string frames = GoldenFrames(12345, 2, spec.frame_size);
     const std::vector<double> noise(2, 0.3);
     SCOPED_TRACE(text);
-    const at::Tensor flat = at::from_blob(Align(spec, values).data(), {AlignedSpec(spec).param_count}).clone();
-    const auto snapshot = std::make_shared<const DeviceSnapshot>(spec, flat.to(at::Device(kStandInDevice)));
+    const auto snapshot = std::make_shared<const DeviceSnapshot>(spec, SendFloats(Align(spec, values), stand_in));
     EXPECT_EQ(**snapshot->Bytes(), bytes);
     const int64_t sent = TrafficSoFar().sent;
     const auto looking = *Policy::Create(spec, snapshot, 4, kStandInDevice);
@@ -237,14 +237,14 @@ TEST(Policy, LooksIntoASnapshotOnItsDevice) {
 
 // As an actor's threads do beside an update.
 TEST(Policy, ActsOnAStreamOfItsOwnWhereTheRunWantsIt) {
+  const at::Device stand_in(kStandInDevice);
   for (const bool wanted : {false, true}) {
     SCOPED_TRACE(wanted);
     const AgentSpec spec = SpecOf(
         absl::StrCat(R"(agent: "lstm_cnn" network { frame_size: 40 } acting_stream: )", wanted ? "true" : "false"));
     const std::vector<float> values = InitialWeights(spec, 1);
-    const at::Tensor flat = at::from_blob(Align(spec, values).data(), {AlignedSpec(spec).param_count}).clone();
-    const auto snapshot = std::make_shared<const DeviceSnapshot>(spec, flat.to(at::Device(kStandInDevice)));
-    const auto current = [] { return CurrentStream(at::Device(kStandInDevice)).id(); };
+    const auto snapshot = std::make_shared<const DeviceSnapshot>(spec, SendFloats(Align(spec, values), stand_in));
+    const auto current = [&] { return CurrentStream(stand_in).id(); };
     std::set<int64_t> streams;
     ObserveComputations([&](auto&&...) { streams.insert(current()); });
     const int64_t awaited = TrafficSoFar().awaited;

@@ -1,10 +1,20 @@
 #include "learner/ppo/adam.h"
 
+#include <algorithm>
 #include <cmath>
+#include <vector>
 
+#include <ATen/ATen.h>
+#include <absl/strings/str_cat.h>
+#include <absl/strings/string_view.h>
 #include <gtest/gtest.h>
 
+#include "common/agent/policy_net.h"
+#include "common/agent/torch_setup.h"
 #include "common/base/keyed_random.h"
+#include "learner/ppo/device_adam.h"
+#include "tests/agent/golden_agent.h"
+#include "tests/agent/stand_in_device.h"
 
 namespace craftfleet {
 namespace {
@@ -75,6 +85,67 @@ TEST(Adam, ClipsByTheGlobalNorm) {
       EXPECT_NEAR(state.exp_avg[i], 0.1 * gradient.values[i] * clip, 1e-4 * std::abs(state.exp_avg[i]) + 1e-12);
     }
   }
+}
+
+TEST(DeviceAdam, StepsAsTheCpus) {
+  SetUpTorchThread();
+  constexpr int kWeights = 70000;
+  WorkerPool workers(1, [] {});
+  AdamOptions options;
+  options.max_gradient_norm = 100;  // clips the gradients of odd steps
+  for (const char* device : {"cpu:0", kStandInDevice}) {
+    std::vector<float> expected(kWeights, 1);
+    AdamState state = {7, std::vector<float>(kWeights, 0.1F), std::vector<float>(kWeights, 0.5F)};
+    DeviceAdam adam(options);
+    adam.Load(state, at::Device(device));
+    const at::Tensor weights = at::ones({kWeights}).to(at::Device(device));
+    for (int step = 0; step < 6; ++step) {
+      std::vector<float> gradient = GoldenUniforms(absl::StrCat("gradient", step), kWeights, -0.2, 0.6);
+      if (step % 2 == 1)
+        std::transform(gradient.begin(), gradient.end(), gradient.begin(), [](float g) { return 9 * g; });
+      const at::Tensor norm = adam.Step(SendFloats(gradient, at::Device(device)), weights);
+      const std::vector<ShardGradient> shards = {{absl::MakeSpan(gradient)}};
+      const double expected_norm = AdamStep(options, shards, absl::MakeSpan(expected), &state, &workers);
+      EXPECT_EQ(expected_norm > options.max_gradient_norm, step % 2 == 1);
+      EXPECT_NEAR(norm.cpu().item<double>(), expected_norm, 1e-5 * expected_norm);
+    }
+    EXPECT_EQ(adam.steps(), state.steps);
+    const auto close = [](const at::Tensor& actual, const std::vector<float>& wanted) {
+      return at::allclose(actual.cpu(), at::tensor(wanted), 1e-5, 1e-7);
+    };
+    EXPECT_TRUE(close(adam.exp_avg(), state.exp_avg)) << device;
+    EXPECT_TRUE(close(adam.exp_avg_sq(), state.exp_avg_sq)) << device;
+    EXPECT_TRUE(close(weights - 1,
+                      [&] {
+                        std::vector<float> way = expected;
+                        for (float& weight : way) weight -= 1;
+                        return way;
+                      }()))
+        << device;
+  }
+}
+
+// A GPU would write and read a copy in double of all numbers.
+TEST(DeviceAdam, TakesTheNormWithoutACopyInDouble) {
+  SetUpTorchThread();
+  constexpr int64_t kWeights = 200000;
+  const std::vector<float> zeros(kWeights);
+  const at::Device device(kStandInDevice);
+  DeviceAdam adam{AdamOptions()};
+  adam.Load({0, zeros, zeros}, device);
+  int64_t norms = 0;
+  ObserveComputations(
+      [&](absl::string_view name, const std::vector<c10::IValue>& arguments, const std::vector<at::Tensor>& results) {
+        if (name == "aten::linalg_vector_norm") {
+          ++norms;
+          EXPECT_EQ(arguments[0].toTensor().scalar_type(), results[0].scalar_type());
+        }
+        for (const at::Tensor& result : results)
+          EXPECT_LT(result.scalar_type() == at::kDouble ? result.numel() : 0, 10);
+      });
+  adam.Step(SendFloats(zeros, device), SendFloats(zeros, device));
+  ObserveComputations(nullptr);
+  EXPECT_GT(norms, 0);
 }
 
 }  // namespace

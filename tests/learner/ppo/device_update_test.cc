@@ -25,14 +25,8 @@
 #include "common/agent/nets/attention.h"
 #include "common/agent/torch_setup.h"
 #include "common/agent/weights.h"
-#include "common/base/keyed_random.h"
-#include "common/base/worker_pool.h"
 #include "common/config/agent_presets.h"
 #include "common/config/config.h"
-#include "learner/ppo/adam.h"
-#include "learner/ppo/device_adam.h"
-#include "learner/ppo/device_loss.h"
-#include "learner/ppo/device_rollout.h"
 #include "learner/ppo/device_weights.h"
 #include "learner/ppo/ppo_updater.h"
 #include "tests/agent/golden_agent.h"
@@ -392,67 +386,6 @@ TEST(DeviceUpdate, DropoutMasksAreTheCpus) {
   }
 }
 
-TEST(DeviceAdam, StepsAsTheCpus) {
-  SetUpTorchThread();
-  constexpr int kWeights = 70000;
-  WorkerPool workers(1, [] {});
-  AdamOptions options;
-  options.max_gradient_norm = 100;  // clips the gradients of odd steps
-  for (const char* device : {kOnTheCpu, kStandInDevice}) {
-    std::vector<float> expected(kWeights, 1);
-    AdamState state = {7, std::vector<float>(kWeights, 0.1F), std::vector<float>(kWeights, 0.5F)};
-    DeviceAdam adam(options);
-    adam.Load(state, at::Device(device));
-    const at::Tensor weights = at::ones({kWeights}).to(at::Device(device));
-    for (int step = 0; step < 6; ++step) {
-      std::vector<float> gradient = GoldenUniforms(absl::StrCat("gradient", step), kWeights, -0.2, 0.6);
-      if (step % 2 == 1)
-        std::transform(gradient.begin(), gradient.end(), gradient.begin(), [](float g) { return 9 * g; });
-      const at::Tensor norm = adam.Step(SendFloats(gradient, at::Device(device)), weights);
-      const std::vector<ShardGradient> shards = {{absl::MakeSpan(gradient)}};
-      const double expected_norm = AdamStep(options, shards, absl::MakeSpan(expected), &state, &workers);
-      EXPECT_EQ(expected_norm > options.max_gradient_norm, step % 2 == 1);
-      EXPECT_NEAR(norm.cpu().item<double>(), expected_norm, 1e-5 * expected_norm);
-    }
-    EXPECT_EQ(adam.steps(), state.steps);
-    const auto close = [](const at::Tensor& actual, const std::vector<float>& wanted) {
-      return at::allclose(actual.cpu(), at::tensor(wanted), 1e-5, 1e-7);
-    };
-    EXPECT_TRUE(close(adam.exp_avg(), state.exp_avg)) << device;
-    EXPECT_TRUE(close(adam.exp_avg_sq(), state.exp_avg_sq)) << device;
-    EXPECT_TRUE(close(weights - 1,
-                      [&] {
-                        std::vector<float> way = expected;
-                        for (float& weight : way) weight -= 1;
-                        return way;
-                      }()))
-        << device;
-  }
-}
-
-// A GPU would write and read a copy in double of all numbers.
-TEST(DeviceAdam, TakesTheNormWithoutACopyInDouble) {
-  SetUpTorchThread();
-  constexpr int64_t kWeights = 200000;
-  const std::vector<float> zeros(kWeights);
-  const at::Device device(kStandInDevice);
-  DeviceAdam adam{AdamOptions()};
-  adam.Load({0, zeros, zeros}, device);
-  int64_t norms = 0;
-  ObserveComputations(
-      [&](absl::string_view name, const std::vector<c10::IValue>& arguments, const std::vector<at::Tensor>& results) {
-        if (name == "aten::linalg_vector_norm") {
-          ++norms;
-          EXPECT_EQ(arguments[0].toTensor().scalar_type(), results[0].scalar_type());
-        }
-        for (const at::Tensor& result : results)
-          EXPECT_LT(result.scalar_type() == at::kDouble ? result.numel() : 0, 10);
-      });
-  adam.Step(SendFloats(zeros, device), SendFloats(zeros, device));
-  ObserveComputations(nullptr);
-  EXPECT_GT(norms, 0);
-}
-
 TEST(DeviceWeights, EachParameterIsAtAMultipleOf16Bytes) {
   for (const char* agent : {"ppo_cnn", "lstm_cnn", "achievement_distillation"}) {
     SCOPED_TRACE(agent);
@@ -469,51 +402,6 @@ TEST(DeviceWeights, EachParameterIsAtAMultipleOf16Bytes) {
     Unalign(spec, Align(spec, values).data(), &back);
     EXPECT_EQ(back, values);
   }
-}
-
-TEST(DeviceLoss, IsTheCpus) {
-  SetUpTorchThread();
-  at::manual_seed(3);
-  constexpr int kRowsHere = 50;
-  const at::Tensor logits = at::randn({kRowsHere, kNumActions});
-  const at::Tensor values = at::randn({kRowsHere});
-  const at::Tensor actions = at::randint(0, kNumActions, {kRowsHere}, at::kLong);
-  const at::Tensor log_probs = at::log_softmax(logits, 1).gather(1, actions.unsqueeze(1)).squeeze(1) +
-                               at::randn({kRowsHere}) * 0.2;  // some ratios are clipped, some are not
-  const at::Tensor returns = at::randn({kRowsHere});
-  std::vector<float> advantages(kRowsHere);
-  for (int i = 0; i < kRowsHere; ++i) advantages[i] = static_cast<float>(ActionNoise(1, i, 0)) - 0.3F;
-  const at::Tensor normalised = NormaliseOnDevice(at::tensor(advantages));
-  Normalise(absl::MakeSpan(advantages));
-  EXPECT_TRUE(at::allclose(normalised, at::tensor(advantages), 1e-6, 1e-7));
-
-  const auto floats = [](const at::Tensor& x) { return absl::MakeSpan(x.data_ptr<float>(), x.numel()); };
-  std::vector<Action> chosen;
-  for (int i = 0; i < kRowsHere; ++i) chosen.push_back(static_cast<Action>(actions[i].item<int64_t>()));
-  const PpoLossOptions options = {0.2, 0.5, 0.03};
-  const at::Tensor by_logits = at::empty_like(logits);
-  const at::Tensor by_values = at::empty_like(values);
-  const PpoLossSums sums =
-      PpoLoss(floats(logits), floats(values), {chosen, floats(log_probs), advantages, floats(returns)}, options,
-              kRowsHere, floats(by_logits), floats(by_values));
-  EXPECT_GT(sums.clipped, 5);
-  EXPECT_LT(sums.clipped, 45);
-  const DeviceLoss loss =
-      PpoLossOnDevice(logits, values, {actions, log_probs, at::tensor(advantages), returns}, options);
-  EXPECT_TRUE(at::allclose(loss.by_logits, by_logits, 1e-5, 1e-8));
-  EXPECT_TRUE(at::allclose(loss.by_values, by_values, 1e-5, 1e-8));
-  const double expected[] = {sums.policy_loss, sums.value_loss, sums.entropy, sums.approx_kl, sums.clipped};
-  for (int i = 0; i < 5; ++i) EXPECT_NEAR(loss.means[i].item<double>(), expected[i] / kRowsHere, 1e-9) << i;
-}
-
-// As PpoLoss.AMadeUpLogProbabilityKeepsTheGradientFinite.
-TEST(DeviceLoss, AMadeUpLogProbabilityKeepsTheGradientFinite) {
-  SetUpTorchThread();
-  const at::Tensor zero = at::zeros({1});
-  const DeviceTargets targets = {at::zeros({1}, at::kLong), at::full({1}, -104.0F), at::full({1}, -8.0F), zero};
-  const DeviceLoss loss = PpoLossOnDevice(at::zeros({1, kNumActions}), zero, targets, {0.2, 0.5, 0});
-  EXPECT_GT(loss.by_logits.abs().max().item<double>(), 0);
-  EXPECT_LT(loss.by_logits.abs().max().item<double>(), 1e15);
 }
 
 }  // namespace

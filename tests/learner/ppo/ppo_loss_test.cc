@@ -3,9 +3,12 @@
 #include <cmath>
 #include <vector>
 
+#include <ATen/ATen.h>
 #include <gtest/gtest.h>
 
+#include "common/agent/torch_setup.h"
 #include "common/base/keyed_random.h"
+#include "learner/ppo/device_loss.h"
 
 namespace craftfleet {
 namespace ppo_loss_test {
@@ -140,6 +143,51 @@ TEST(Normalise, GivesMeanZeroAndSampleDeviationOne) {
   std::vector<float> equal = {5, 5, 5};
   Normalise(absl::MakeSpan(equal));
   EXPECT_EQ(equal, (std::vector<float>{0, 0, 0}));
+}
+
+TEST(DeviceLoss, IsTheCpus) {
+  SetUpTorchThread();
+  at::manual_seed(3);
+  constexpr int kRowsHere = 50;
+  const at::Tensor logits = at::randn({kRowsHere, kNumActions});
+  const at::Tensor values = at::randn({kRowsHere});
+  const at::Tensor actions = at::randint(0, kNumActions, {kRowsHere}, at::kLong);
+  const at::Tensor log_probs = at::log_softmax(logits, 1).gather(1, actions.unsqueeze(1)).squeeze(1) +
+                               at::randn({kRowsHere}) * 0.2;  // some ratios are clipped, some are not
+  const at::Tensor returns = at::randn({kRowsHere});
+  std::vector<float> advantages(kRowsHere);
+  for (int i = 0; i < kRowsHere; ++i) advantages[i] = static_cast<float>(ActionNoise(1, i, 0)) - 0.3F;
+  const at::Tensor normalised = NormaliseOnDevice(at::tensor(advantages));
+  Normalise(absl::MakeSpan(advantages));
+  EXPECT_TRUE(at::allclose(normalised, at::tensor(advantages), 1e-6, 1e-7));
+
+  const auto floats = [](const at::Tensor& x) { return absl::MakeSpan(x.data_ptr<float>(), x.numel()); };
+  std::vector<Action> chosen;
+  for (int i = 0; i < kRowsHere; ++i) chosen.push_back(static_cast<Action>(actions[i].item<int64_t>()));
+  const PpoLossOptions options = {0.2, 0.5, 0.03};
+  const at::Tensor by_logits = at::empty_like(logits);
+  const at::Tensor by_values = at::empty_like(values);
+  const PpoLossSums sums =
+      PpoLoss(floats(logits), floats(values), {chosen, floats(log_probs), advantages, floats(returns)}, options,
+              kRowsHere, floats(by_logits), floats(by_values));
+  EXPECT_GT(sums.clipped, 5);
+  EXPECT_LT(sums.clipped, 45);
+  const DeviceLoss loss =
+      PpoLossOnDevice(logits, values, {actions, log_probs, at::tensor(advantages), returns}, options);
+  EXPECT_TRUE(at::allclose(loss.by_logits, by_logits, 1e-5, 1e-8));
+  EXPECT_TRUE(at::allclose(loss.by_values, by_values, 1e-5, 1e-8));
+  const double expected[] = {sums.policy_loss, sums.value_loss, sums.entropy, sums.approx_kl, sums.clipped};
+  for (int i = 0; i < 5; ++i) EXPECT_NEAR(loss.means[i].item<double>(), expected[i] / kRowsHere, 1e-9) << i;
+}
+
+// As PpoLoss.AMadeUpLogProbabilityKeepsTheGradientFinite.
+TEST(DeviceLoss, AMadeUpLogProbabilityKeepsTheGradientFinite) {
+  SetUpTorchThread();
+  const at::Tensor zero = at::zeros({1});
+  const DeviceTargets targets = {at::zeros({1}, at::kLong), at::full({1}, -104.0F), at::full({1}, -8.0F), zero};
+  const DeviceLoss loss = PpoLossOnDevice(at::zeros({1, kNumActions}), zero, targets, {0.2, 0.5, 0});
+  EXPECT_GT(loss.by_logits.abs().max().item<double>(), 0);
+  EXPECT_LT(loss.by_logits.abs().max().item<double>(), 1e15);
 }
 
 }  // namespace ppo_loss_test

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import contextlib
 import dataclasses
 import difflib
@@ -174,7 +175,7 @@ def run(program: str, usage: str, flags: list[Flag], arguments: list[str],
   code, error = 0, ""
   if getattr(sys.stdout, "errors", "") == "strict":
     # Names of files that are no text leave as they came; encodings that lack a letter get its number.
-    sys.stdout.reconfigure(errors="surrogateescape" if sys.stdout.encoding.lower() == "utf-8" else "backslashreplace")
+    sys.stdout.reconfigure(errors="surrogateescape" if codecs.lookup(sys.stdout.encoding).name == "utf-8" else "backslashreplace")
   try:
     asked = next((word for word in arguments if word in ("-h", "-help", "--help", "--helpfull", "--version")), "")
     if asked == "--version":
