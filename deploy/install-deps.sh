@@ -125,7 +125,7 @@ if [ -n "$tests" ]; then
     chromium chromium-driver python3-selenium qemu-user)
 fi
 if [ -n "$developer" ]; then
-  packages+=(ccache lld clang libclang-rt-dev llvm clang-format clang-tidy shellcheck)
+  packages+=(ccache lld clang libclang-rt-dev llvm clang-format clang-tidy shellcheck xz-utils)
 fi
 
 if ! command -v apt-get >/dev/null || ! command -v dpkg-query >/dev/null; then

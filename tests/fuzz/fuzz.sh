@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
 # Searches for inputs that break the parsers of untrusted data (messages, configurations, checkpoints, snapshots, logs,
 # textures, weights) with libFuzzer under AddressSanitizer and UndefinedBehaviorSanitizer. Starts from the inputs in
-# tests/fuzz/corpus.tar.gz and tests/fuzz/regressions/TARGET; inputs that reach new code are kept in build-fuzz/corpus
+# tests/fuzz/corpus.tar.xz and tests/fuzz/regressions/TARGET; inputs that reach new code are kept in build-fuzz/corpus
 # for the next search.
 #
 # Usage: tests/fuzz/fuzz.sh [--inputs=N] [--keep] [TARGET]...
 #   --inputs=N  inputs to try for each target; default 120000
-#   --keep      then replace the targets' inputs in corpus.tar.gz by the fewest that reach the same code
+#   --keep      then replace the targets' inputs in corpus.tar.xz by the fewest that reach the same code
 #   TARGET      like world_snapshot; default: all
 # The last line is `N targets without a finding, N with one`; exit 1 if there is one. A finding is written to
 # build-fuzz/findings; build-fuzz/bin/fuzz --target=TARGET FILE reproduces it. Once its cause is fixed, it belongs in
@@ -38,7 +38,7 @@ known=build-fuzz/known
 archived=build-fuzz/archived
 rm -rf "$known" "$archived"
 mkdir -p "$findings" "$known" "$archived"
-tar -xzf tests/fuzz/corpus.tar.gz -C "$archived" --no-same-owner
+tar -xJf tests/fuzz/corpus.tar.xz -C "$archived" --no-same-owner
 build-fuzz/bin/fuzz_replay --write_seeds "$known"
 cp -r "$archived"/. tests/fuzz/regressions/. "$known"
 if [ ${#targets[@]} -eq 0 ]; then mapfile -t targets < <(ls "$known"); fi
@@ -70,8 +70,8 @@ for target in "${targets[@]}"; do
 done
 if [ -n "$keep" ]; then  # the same inputs always make the same archive
   (cd "$archived" && find . -type f -printf '%P\n' | LC_ALL=C sort |
-    tar --create --format=ustar --mtime=@0 --owner=0 --group=0 --numeric-owner --mode=0644 --files-from=-) | gzip -9 -n >build-fuzz/corpus.tar.gz
-  mv build-fuzz/corpus.tar.gz tests/fuzz/corpus.tar.gz
+    tar --create --format=ustar --mtime=@0 --owner=0 --group=0 --numeric-owner --mode=0644 --files-from=-) | xz -9e -T1 >build-fuzz/corpus.tar.xz
+  mv build-fuzz/corpus.tar.xz tests/fuzz/corpus.tar.xz
 fi
 echo "$sound targets without a finding, $broken with one"
 [ "$broken" -eq 0 ]
