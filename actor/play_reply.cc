@@ -42,8 +42,8 @@ absl::Status CheckCommon(const v1::PlayReply& reply) {
 // Checks that fields of the reply to hello are empty.
 absl::Status CheckNoHello(const v1::PlayReply& reply) {
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckCount("frame_format", reply.frame_format(), 0, 0));
-  const int64_t bytes = SizeOf(reply.program_version()) + SizeOf(reply.cpu()) + SizeOf(reply.canary());
-  return wire::CheckSize("program_version, cpu and canary", bytes, 0, "bytes after hello");
+  const int64_t bytes = SizeOf(reply.program_version()) + SizeOf(reply.canary());
+  return wire::CheckSize("program_version and canary", bytes, 0, "bytes after hello");
 }
 
 // Checks that fields of the reply to a step are empty.
@@ -93,7 +93,6 @@ PlayReplyCheck::PlayReplyCheck(const v1::SessionHello& hello, int frame_bytes)
 absl::Status PlayReplyCheck::Hello(const v1::PlayReply& reply) const {
   CRAFTFLEET_RETURN_IF_ERROR(CheckCommon(reply));
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckText("program_version", reply.program_version()));
-  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckText("cpu", reply.cpu()));
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckText("canary", reply.canary()));
   return CheckNoGames(reply);
 }

@@ -19,6 +19,13 @@ absl::Span<uint8_t> Row(std::string* frames, size_t row, size_t frame_bytes) {
   return absl::MakeSpan(reinterpret_cast<uint8_t*>(&(*frames)[row * frame_bytes]), frame_bytes);
 }
 
+absl::Status CheckDistinct(std::vector<int> lanes, absl::string_view request) {
+  std::sort(lanes.begin(), lanes.end());
+  const auto twice = std::adjacent_find(lanes.begin(), lanes.end());
+  if (twice == lanes.end()) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrFormat("lane %d is named twice in one %s", *twice, request));
+}
+
 int64_t MoreObjects(const Game& game) {
   return std::max<int64_t>(static_cast<int64_t>(game.world().object_room()) - kUsualObjects, 0);
 }
@@ -26,7 +33,11 @@ int64_t MoreObjects(const Game& game) {
 }  // namespace
 
 absl::Status EnvBatch::Open(absl::Span<const OpenLane> lanes, std::string* frames) {
-  CRAFTFLEET_RETURN_IF_ERROR(CheckRoom(lanes.size()));
+  std::vector<int> numbers;
+  numbers.reserve(lanes.size());
+  for (const OpenLane& lane : lanes) numbers.push_back(lane.lane);
+  CRAFTFLEET_RETURN_IF_ERROR(CheckDistinct(std::move(numbers), "open"));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckRoom(CountClosed(lanes)));
   Begin(lanes.size());
   refused_.clear();
   to_open_ = lanes;
@@ -74,12 +85,16 @@ absl::Status EnvBatch::OpenNext() {
   return status;
 }
 
-absl::Status EnvBatch::CheckRoom(size_t more) const {
+int64_t EnvBatch::CountClosed(absl::Span<const OpenLane> lanes) const {
+  return std::count_if(lanes.begin(), lanes.end(), [this](const OpenLane& lane) { return !IsOpen(lane.lane); });
+}
+
+absl::Status EnvBatch::CheckRoom(int64_t more) const {
   int64_t most = kMaxLanes;
   if (recording_.has_value()) {
     most = std::min(most, kMaxMomentBytes / (recording_->picture_bytes() + renderer_->frame_bytes()));
   }
-  if (static_cast<int64_t>(more + games_.size()) <= most) return absl::OkStatus();
+  if (more + size() <= most) return absl::OkStatus();
   return absl::InvalidArgumentError(
       absl::StrFormat("%d lanes more on top of %d open ones, want at most %d in a %s", more, games_.size(), most,
                       recording_.has_value() ? "session that records pictures of this size" : "session"));
@@ -172,11 +187,7 @@ absl::Status EnvBatch::Find(absl::Span<const int> lanes) {
     }
     chosen_.push_back(&game->second);
   }
-  std::vector<int> sorted(lanes.begin(), lanes.end());
-  std::sort(sorted.begin(), sorted.end());
-  const auto twice = std::adjacent_find(sorted.begin(), sorted.end());
-  if (twice == sorted.end()) return absl::OkStatus();
-  return absl::InvalidArgumentError(absl::StrFormat("lane %d is named twice in one step", *twice));
+  return CheckDistinct(std::vector<int>(lanes.begin(), lanes.end()), "step");
 }
 
 }  // namespace craftfleet

@@ -52,9 +52,11 @@ class EnvBatch {
 
   // Opens `lanes` (an open one is replaced) and writes their observations, uint8[n,H,W,3] or n records, to `frames`.
   // Lanes with an invalid snapshot are closed: refused() names them, and frames and moments contain the others only.
-  //   InvalidArgument: a lane below 0, too many lanes, more of them than kMaxMomentBytes allows to record, or an
-  //   episode out of range.   Cancelled: see StopWhen.
+  //   InvalidArgument: a lane below 0 or named twice, too many lanes, more of them than kMaxMomentBytes allows to
+  //   record, or an episode out of range.   Cancelled: see StopWhen.
   absl::Status Open(absl::Span<const OpenLane> lanes, std::string* frames);
+  // How many of `lanes` are not open.
+  int64_t CountClosed(absl::Span<const OpenLane> lanes) const;
 
   // Lanes refused by the last Open, in its order.
   const std::vector<Refused>& refused() const { return refused_; }
@@ -98,7 +100,7 @@ class EnvBatch {
   int64_t more_objects() const { return more_objects_; }
 
  private:
-  absl::Status CheckRoom(size_t more) const;
+  absl::Status CheckRoom(int64_t more) const;
   // Cancelled: the result is no longer needed.
   absl::Status CheckStopped();
   // Drops the game of a lane, if it is open.

@@ -1,5 +1,6 @@
 #include "envserver/env_service.h"
 
+#include <algorithm>
 #include <limits>
 #include <utility>
 #include <vector>
@@ -15,6 +16,11 @@
 #include "envserver/render/built_in_textures.h"
 
 namespace craftfleet {
+namespace {
+
+constexpr int64_t kMuch = 1 << 20;  // bytes of a session without games, for which it is worth ending: of large pictures
+
+}  // namespace
 
 absl::StatusOr<std::unique_ptr<EnvServiceImpl>> EnvServiceImpl::Create(const std::string& texture_dir) {
   return Create(texture_dir, {});
@@ -57,6 +63,11 @@ std::string EnvServiceImpl::ClientOf(const grpc::ServerContextBase& context) con
   return identity.empty() ? wire::ClientOfPeer(context.peer()) : identity;
 }
 
+bool EnvServiceImpl::IsBoundLocked() const {
+  return std::any_of(sessions_.begin(), sessions_.end(),
+                     [](const auto& entry) { return !entry.second.run_id.empty(); });
+}
+
 void EnvServiceImpl::EndIdlest(const std::string* client) {
   const MutexLock lock(&mu_);
   const Session* idlest = nullptr;
@@ -64,7 +75,8 @@ void EnvServiceImpl::EndIdlest(const std::string* client) {
   for (const auto& [key, session] : sessions_) {
     if (client != nullptr && session.client != *client) continue;
     const int64_t since = *session.idle_since;
-    if (session.lanes == 0 || since == 0 || since >= idlest_since) continue;
+    const bool frees_room = session.lanes > 0 || session.bytes >= kMuch;
+    if (!frees_room || since == 0 || since >= idlest_since) continue;
     idlest = &session;
     idlest_since = since;
   }

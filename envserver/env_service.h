@@ -81,7 +81,9 @@ class EnvServiceImpl final : public v1::EnvironmentService::CallbackService {
     std::string name;    // as its client calls itself
     std::string client;  // as ClientOf
     std::string address;
+    std::string run_id;  // empty: any
     int lanes = 0;
+    int64_t bytes = 0;  // reserved without its games
     const ActivityMeter* meter = nullptr;
     grpc::CallbackServerContext* context = nullptr;
     const std::atomic<int64_t>* idle_since = nullptr;  // ns of the steady clock; 0: it is served
@@ -128,6 +130,8 @@ class EnvServiceImpl final : public v1::EnvironmentService::CallbackService {
   v1::ProcessSummary SummaryLocked() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // What tells the client of a session apart from others, as in the learner: its certificate or token, else its host.
   std::string ClientOf(const grpc::ServerContextBase& context) const;
+  // Whether a session is open that plays for a run.
+  bool IsBoundLocked() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // Ends the session that has been idle for longest, of `client` or (null) of all, if that is long enough.
   void EndIdlest(const std::string* client) ABSL_LOCKS_EXCLUDED(mu_);
   static constexpr absl::Duration kSummarizeEvery = absl::Seconds(1);

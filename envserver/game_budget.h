@@ -56,6 +56,7 @@ class GameBudget {
     //   ResourceExhausted, naming the request, the limit and its flag: the share is unchanged.
     absl::Status Set(int64_t games, int64_t bytes);
     const std::string& client() const { return client_; }
+    int64_t bytes() const { return amount_.bytes; }
 
    private:
     GameBudget* const budget_;

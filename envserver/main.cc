@@ -86,6 +86,8 @@ absl::Status CheckLearnerFlags() {
   if (learner.empty()) {
     return advertise.empty() ? absl::OkStatus() : absl::InvalidArgumentError("--advertise requires --learner");
   }
+  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckAddress("learner", learner));
+  if (!advertise.empty()) CRAFTFLEET_RETURN_IF_ERROR(wire::CheckAddress("advertise", advertise));
   const absl::string_view flag = advertise.empty() ? "listen" : "advertise";
   const std::string address =
       advertise.empty() ? absl::GetFlag(FLAGS_listen).address.value_or(kDefaultAddress) : advertise;
@@ -111,9 +113,7 @@ absl::StatusOr<std::unique_ptr<Announcer>> AnnounceIfAsked(EnvServiceImpl* servi
   const std::string learner = LearnerFromFlag();
   const std::string advertise = absl::GetFlag(FLAGS_advertise);
   if (learner.empty()) return nullptr;
-  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckAddress("learner", learner));
   const std::string address = advertise.empty() ? listens_on : advertise;
-  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckAddress("advertise", address));
   CRAFTFLEET_ASSIGN_OR_RETURN(const wire::ChannelSecurity security, wire::ChannelSecurityFromFlags());
   return std::make_unique<Announcer>(
       wire::Connect(learner, security), name, address, service->texture_digest(), service->canary(),

@@ -45,6 +45,12 @@ int64_t MostObjects(const v1::OpenLanes& open) {
   return objects;
 }
 
+absl::Status CheckCount(int lanes) {
+  if (lanes <= EnvBatch::kMaxLanes) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      absl::StrFormat("%d lanes in one request, want at most %d", lanes, EnvBatch::kMaxLanes));
+}
+
 // Reports the lanes that were not opened, with reasons.
 void AddRefused(const std::vector<EnvBatch::Refused>& refused, LimitedLog* log, v1::PlayReply* reply) {
   for (const EnvBatch::Refused& lane : refused) {
@@ -113,17 +119,19 @@ absl::StatusOr<std::unique_ptr<EnvServiceImpl::Games>> EnvServiceImpl::Greet(con
 absl::Status EnvServiceImpl::Begin(const v1::PlayRequest& request, Games* games, v1::PlayReply* reply) {
   switch (request.request_case()) {
     case v1::PlayRequest::kStep:
+      CRAFTFLEET_RETURN_IF_ERROR(CheckCount(request.step().lanes_size()));
       CRAFTFLEET_RETURN_IF_ERROR(wire::ActionsFromProto(request.step(), &games->actions));
       return games->batch.Step(request.step().lanes(), games->actions, request.step().snapshot(), &games->step);
     case v1::PlayRequest::kOpen:
-      CRAFTFLEET_RETURN_IF_ERROR(games->Reserve(request.open().lanes_size(), MostObjects(request.open())));
       games->to_open.clear();
       for (const v1::OpenLanes::Lane& lane : request.open().lanes()) {
         games->to_open.push_back({lane.lane(), lane.seed(), lane.episode() == 0 ? 1 : lane.episode(), lane.snapshot()});
       }
+      CRAFTFLEET_RETURN_IF_ERROR(games->Reserve(games->batch.CountClosed(games->to_open), MostObjects(request.open())));
       reply->Clear();
       return games->batch.Open(games->to_open, reply->mutable_frames());
     case v1::PlayRequest::kClose:
+      CRAFTFLEET_RETURN_IF_ERROR(CheckCount(request.close().lanes_size()));
       games->batch.Close(request.close().lanes());
       return absl::OkStatus();
     case v1::PlayRequest::kHello:
@@ -131,7 +139,7 @@ absl::Status EnvServiceImpl::Begin(const v1::PlayRequest& request, Games* games,
     case v1::PlayRequest::REQUEST_NOT_SET:
       break;
   }
-  return absl::InvalidArgumentError("an empty request, want open, step or close");
+  return absl::InvalidArgumentError("an empty or unreadable request, want open, step or close");
 }
 
 absl::Status EnvServiceImpl::Complete(const v1::PlayRequest& request, Games* games, v1::PlayReply* reply) {
@@ -152,8 +160,12 @@ absl::Status EnvServiceImpl::Complete(const v1::PlayRequest& request, Games* gam
       if (batch.IsOpen(lane.lane())) reply->add_episode_steps(batch.EpisodeSteps(lane.lane()));
     }
     wire::ToProto(std::move(batch.moments()), reply);
-  } else {
-    reply->Clear();
+    if (!batch.refused().empty()) reply->mutable_frames()->shrink_to_fit();
+  } else {  // what the closed games needed is counted no longer
+    games->step = {};
+    games->step.frames.shrink_to_fit();  // an assignment keeps its memory
+    games->step.last_frames.shrink_to_fit();
+    *reply = {};
   }
   return games->Reserve(0, 0);  // some of the lanes may have been open already, or refused
 }

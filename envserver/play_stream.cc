@@ -10,6 +10,7 @@
 
 #include "common/base/clock.h"
 #include "common/base/status_macros.h"
+#include "common/process/heap.h"
 #include "common/process/version.h"
 #include "common/wire/grpc_status.h"
 #include "common/wire/protocol.h"
@@ -33,15 +34,16 @@ class EnvServiceImpl::SessionGuard {
     if (service_->sessions_.erase(this) > 0) service_->ended_.Add(meter_.Total());
     service_->changed_.NotifyAll();
   }
-  // Binds the server to the session's run; `client` is as GameBudget's.   FailedPrecondition: it belongs to another run
+  // Binds the server to the session's run; `share` has no games yet.   FailedPrecondition: it belongs to another run
   // (SetRun).   ResourceExhausted: it has sessions of another run.
-  absl::Status Enter(const v1::SessionHello& hello, const std::string& client, grpc::CallbackServerContext* context) {
+  absl::Status Enter(const v1::SessionHello& hello, const GameBudget::Share& share,
+                     grpc::CallbackServerContext* context) {
     MutexLock lock(&service_->mu_);
     std::string& run_id = service_->run_id_;
     const std::string last_run_id = run_id;
     if (!service_->own_run_id_.empty()) {
       run_id = service_->own_run_id_;
-    } else if (service_->sessions_.empty() || run_id.empty()) {
+    } else if (!service_->IsBoundLocked()) {
       run_id = hello.run_id();
     }
     if (run_id != last_run_id && !run_id.empty()) service_->log_.Info("run", absl::StrCat("serves run ", run_id));
@@ -50,7 +52,15 @@ class EnvServiceImpl::SessionGuard {
     // Without a learner it is free again when the other run's sessions end: actors wait, as any client may claim it.
     if (!same_run.ok() && service_->own_run_id_.empty()) return absl::ResourceExhaustedError(same_run.message());
     CRAFTFLEET_RETURN_IF_ERROR(same_run);
-    service_->sessions_[this] = {hello.client(), client, context->peer(), 0, &meter_, context, &idle_since_};
+    Session& session = service_->sessions_[this];
+    session.name = hello.client();
+    session.client = share.client();
+    session.address = context->peer();
+    session.run_id = hello.run_id();
+    session.bytes = share.bytes();
+    session.meter = &meter_;
+    session.context = context;
+    session.idle_since = &idle_since_;
     return absl::OkStatus();
   }
   void SetLanes(int lanes) {
@@ -157,7 +167,7 @@ class EnvServiceImpl::PlayStream final : public grpc::ServerBidiReactor<v1::Play
     games_->batch.StopWhen([this] { return context_->IsCancelled(); });
     games_->batch.PauseWhen([this] { return Threads()->others_wait() && SteadyNow() >= turn_ends_; });
     session_.emplace(service_);
-    CRAFTFLEET_RETURN_IF_ERROR(session_->Enter(request_.hello(), share_->client(), context_));
+    CRAFTFLEET_RETURN_IF_ERROR(session_->Enter(request_.hello(), *share_, context_));
     reply_.set_program_version(std::string(ProgramVersion()));
     reply_.set_canary(service_->canary_);
     reply_.set_frame_format(static_cast<v1::FrameFormat>(games_->batch.format()));
@@ -174,6 +184,10 @@ class EnvServiceImpl::PlayStream final : public grpc::ServerBidiReactor<v1::Play
     reply_.clear_canary();
     reply_.clear_frame_format();
     CRAFTFLEET_RETURN_IF_ERROR(service_->Complete(request_, games_.get(), &reply_));
+    if (const size_t bytes = reply_.ByteSizeLong(); bytes > wire::kMaxMessageBytes) {
+      return absl::ResourceExhaustedError(absl::StrFormat(
+          "a reply of %d bytes, want at most %d: ask for fewer lanes at once", bytes, wire::kMaxMessageBytes));
+    }
     if (request_.has_step()) {
       session_->meter()->Count(request_.step().lanes_size());
     } else {
@@ -194,6 +208,7 @@ class EnvServiceImpl::PlayStream final : public grpc::ServerBidiReactor<v1::Play
     session_.reset();
     games_.reset();
     share_.reset();
+    ReleaseFreeMemory();
     if (const absl::Status late = watched_->late(); !late.ok()) status = late;
     const bool stopped = absl::IsCancelled(status);  // by the client or by this server
     if (!status.ok() && !stopped) {

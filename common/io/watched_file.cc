@@ -24,7 +24,10 @@ std::optional<std::string> WatchedFile::ReadIfChanged() {
   Stamp stamp;
   if (stat(path_.c_str(), &status) == 0) {
     stamp = {status.st_ino, absl::ToUnixNanos(absl::TimeFromTimespec(status.st_mtim)), status.st_size};
-    if (stamp == stamp_) return std::nullopt;
+    if (stamp == stamp_) {
+      missing_ = false;
+      return std::nullopt;
+    }
   }
   absl::StatusOr<std::string> bytes = ReadFile(path_);
   if (!bytes.ok()) {

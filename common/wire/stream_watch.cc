@@ -2,20 +2,15 @@
 
 #include <grpc/grpc.h>
 
-#include <chrono>
-
 #include <absl/strings/match.h>
 #include <absl/strings/str_format.h>
+
+#include "common/base/clock.h"
 
 namespace craftfleet::wire {
 namespace {
 
 constexpr absl::Duration kCheckEvery = absl::Milliseconds(250);
-
-int64_t SteadyNs() {
-  const auto now = std::chrono::steady_clock::now().time_since_epoch();
-  return std::chrono::duration_cast<std::chrono::nanoseconds>(now).count();
-}
 
 }  // namespace
 
@@ -60,7 +55,7 @@ void StreamWatch::Stream::Await(const char* what, absl::Duration limit) {
   if (limit == absl::InfiniteDuration()) return;
   what_ = what;
   limit_ns_ = absl::ToInt64Nanoseconds(limit);
-  deadline_ns_ = SteadyNs() + absl::ToInt64Nanoseconds(limit);
+  deadline_ns_ = absl::ToUnixNanos(SteadyNow()) + absl::ToInt64Nanoseconds(limit);
 }
 
 std::string StreamWatch::Stream::LateMessage() const {
@@ -98,7 +93,7 @@ void StreamWatch::Run() {
 }
 
 void StreamWatch::CancelLate() {
-  const int64_t now = SteadyNs();
+  const int64_t now = absl::ToUnixNanos(SteadyNow());
   for (auto& [stream, cancelled] : streams_) {
     const int64_t deadline = stream->deadline_ns_;
     if (deadline == 0 || now < deadline || cancelled) continue;

@@ -106,17 +106,8 @@ TEST_F(EnvServiceTest, StatusHasSessionsAndSteps) {
   ASSERT_EQ(status.peers_size(), 1);
   EXPECT_EQ(status.peers(0).name(), "a test");
   EXPECT_EQ(status.peers(0).state(), "1 lanes");
-  for (const v1::Metric& metric : status.metrics()) {
-    if (metric.name() == "env_steps") {
-      EXPECT_EQ(metric.value(), 2);
-    }
-  }
+  EXPECT_EQ(Metric(*service_, "env_steps"), 2);
   session.Leave();
-}
-
-TEST(EnvService, NamesAMissingTextureFolder) {
-  EXPECT_THAT(EnvServiceImpl::Create("/no/such/folder"),
-              StatusIs(absl::StatusCode::kNotFound, HasSubstr("/no/such/folder")));
 }
 
 }  // namespace

@@ -7,15 +7,20 @@
 #include <cstdlib>
 #include <memory>
 #include <new>
+#include <numeric>
 #include <string>
 #include <vector>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "common/io/paths.h"
+#include "common/wire/server.h"
 #include "envserver/env_batch.h"
+#include "envserver/env_service.h"
 #include "envserver/game_budget.h"
 #include "tests/envserver/full_game.h"
+#include "tests/envserver/test_session.h"
 #include "tests/fakes/played_game.h"
 #include "tests/fakes/status_matchers.h"
 
@@ -76,6 +81,25 @@ TEST(GameMemory, OfNewGamesIsCounted) { ExpectToFit(""); }
 
 // Its objects alone took 160 KiB of the 64 that were counted.
 TEST(GameMemory, OfGamesWithAnObjectOnEveryCellIsCounted) { ExpectToFit(FullSnapshot(MakeRenderer())); }
+
+// A session that closed its games kept their pictures, uncounted.
+TEST(GameMemory, OfClosedGamesIsFree) {
+  constexpr int kMany = 256;
+  const PlayedGame first(MakeRenderer(), 1);  // makes the tables that all worlds share
+  const auto service = *EnvServiceImpl::Create(*DefaultTextureDir());
+  const auto server = *wire::Server::Create({}, {service.get()});
+  Session session(server->InProcess());
+  ASSERT_THAT(session.Send(Hello("")), IsOk());
+  std::vector<int> lanes(kMany);
+  std::iota(lanes.begin(), lanes.end(), 0);
+  v1::PlayRequest close;
+  close.mutable_close()->mutable_lanes()->Assign(lanes.begin(), lanes.end());
+  const int64_t before = bytes_in_use;
+  ASSERT_THAT(session.Send(OpenMany(kMany)), IsOk());
+  ASSERT_THAT(session.Send(Step(lanes, std::string(kMany, '\0'))), IsOk());
+  ASSERT_THAT(session.Send(close), IsOk());
+  EXPECT_LT(bytes_in_use - before, 1 << 20);
+}
 
 // Whatever it draws, balances or resets.
 TEST(GameMemory, StepsAndResetsAllocateNothing) {

@@ -1,5 +1,6 @@
 // EnvServiceImpl: clients whose requests are invalid.
 #include <functional>
+#include <numeric>
 #include <ostream>
 #include <string>
 #include <vector>
@@ -122,6 +123,27 @@ const std::vector<InvalidClient>& AllInvalidClients() {
        },
        kInvalid,
        {"actions: 0 bytes, want 1"}},
+      {"TooManyLanes",
+       [] {
+         v1::PlayRequest close;
+         close.mutable_close()->mutable_lanes()->Resize(EnvBatch::kMaxLanes + 1, 0);
+         return Requests{Hello("run-a"), close};
+       },
+       kInvalid,
+       {"4097 lanes in one request, want at most 4096"}},
+      {"AReplyBeyondTheLargestMessage",
+       [] {
+         constexpr int kLanes = 300;
+         std::vector<int> lanes(kLanes);
+         std::iota(lanes.begin(), lanes.end(), 0);
+         return Requests{HelloBut([](auto* h) {
+                           h->mutable_env()->set_frame_size(256);
+                           h->mutable_env()->set_length(1);
+                         }),
+                         OpenMany(kLanes), Step(lanes, std::string(kLanes, '\0'))};
+       },
+       absl::StatusCode::kResourceExhausted,
+       {"want at most 100663296: ask for fewer lanes at once"}},
   };
   return *misdeeds;
 }

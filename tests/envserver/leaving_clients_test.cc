@@ -77,18 +77,5 @@ TEST(EnvService, AClientThatTakesNoReplyHoldsNoThread) {
   EXPECT_LT(Metric(*service, "env_steps"), 100 * 64) << "they wait for the client";
 }
 
-// By then gRPC may have forgotten where it was.
-TEST(EnvService, AClientThatIsLateIsNamedInTheLog) {
-  EnvServiceImpl::Options options;
-  options.hello_timeout = absl::Milliseconds(10);
-  const auto service = *EnvServiceImpl::Create(*DefaultTextureDir(), options);
-  auto server = *wire::Server::Create({"127.0.0.1:0"}, {service.get()});
-  testing::internal::CaptureStderr();
-  EXPECT_THAT(Session(wire::Connect(server->address())).Read(),
-              StatusIs(absl::StatusCode::kDeadlineExceeded, testing::_));
-  server.reset();  // waits for the session's end
-  EXPECT_THAT(testing::internal::GetCapturedStderr(), testing::HasSubstr("session of ipv4:127.0.0.1:"));
-}
-
 }  // namespace
 }  // namespace craftfleet

@@ -65,6 +65,36 @@ TEST(EnvService, AnIdleSessionGivesWayToOneThatNeedsItsRoom) {
   }));
 }
 
+// It has tables for them, and no game.
+TEST(EnvService, AnIdleSessionWithLargePicturesGivesWay) {
+  EnvServiceImpl::Options options;
+  options.budget.session_bytes = 20 << 20;
+  options.budget.bytes = 20 << 20;
+  options.gives_way = absl::ZeroDuration();
+  const auto service = *EnvServiceImpl::Create(*DefaultTextureDir(), options);
+  const auto server = *wire::Server::Create({}, {service.get()});
+  v1::PlayRequest hello = Hello("run-a");
+  hello.mutable_hello()->mutable_env()->set_frame_size(700);
+  Session idle(server->InProcess());
+  ASSERT_THAT(idle.Send(hello), IsOk());
+  EXPECT_TRUE(WaitUntil([&] { return Session(server->InProcess()).Send(hello).ok(); }));
+}
+
+// Each open one was counted twice then.
+TEST(EnvService, ASessionWithAllItsGamesMayStartThemAnew) {
+  EnvServiceImpl::Options options;
+  options.budget.session_games = 2;
+  const auto service = *EnvServiceImpl::Create(*DefaultTextureDir(), options);
+  const auto server = *wire::Server::Create({}, {service.get()});
+  Session session(server->InProcess());
+  ASSERT_THAT(session.Send(Hello("run-a")), IsOk());
+  ASSERT_THAT(session.Send(OpenMany(2)), IsOk());
+  EXPECT_THAT(session.Send(OpenMany(2)), IsOk());
+  EXPECT_THAT(session.Send(Open(1, 5)), IsOk());
+  EXPECT_THAT(session.Send(Open(2, 5)), StatusIs(absl::StatusCode::kResourceExhausted,
+                                                 HasSubstr("3 requested, at most 2 (--max_session_games)")));
+}
+
 // 64 KiB were counted for each game, whatever its snapshot held.
 TEST(EnvService, GamesWithManyObjectsTakeMoreOfTheBudget) {
   const std::string full = FullSnapshot(MakeRenderer(kLength));

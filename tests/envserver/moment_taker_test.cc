@@ -113,7 +113,8 @@ TEST(Recording, TooManyLargePicturesAreRefused) {
   const auto renderer = MakeRenderer(100);
   EnvBatch batch(renderer, MomentTaker(MakeRenderer(100, 1024)));
   std::string frames;
-  const std::vector<EnvBatch::OpenLane> many(22);
+  std::vector<EnvBatch::OpenLane> many(22);
+  for (int lane = 0; lane < 22; ++lane) many[lane].lane = lane;
   EXPECT_THAT(
       batch.Open(many, &frames),
       StatusIs(

@@ -48,6 +48,8 @@ TEST_F(EnvServiceTest, BesideASessionWithoutRunOneRunIsAdmitted) {
   EXPECT_THAT(Session(server()).Send(Hello("run-b")),
               StatusIs(absl::StatusCode::kResourceExhausted, HasSubstr("run-a")));
   EXPECT_THAT(Session(server()).Send(Hello("")), IsOk());
+  first.Leave();
+  EXPECT_THAT(Session(server()).Send(Hello("run-b")), IsOk());
 }
 
 TEST_F(EnvServiceTest, OneOfTwoConcurrentRunsIsRefused) {

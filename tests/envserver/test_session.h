@@ -16,6 +16,7 @@
 #include "common/wire/protocol.h"
 #include "common/wire/server.h"
 #include "envserver/env_service.h"
+#include "tests/fakes/metric_of.h"
 #include "tests/fakes/played_game.h"
 #include "tests/fakes/status_matchers.h"
 
@@ -131,10 +132,7 @@ class Witness {
 inline double Metric(const EnvServiceImpl& service, absl::string_view name) {
   v1::StatusReply status;
   service.FillStatus(&status);
-  for (const v1::Metric& metric : status.metrics()) {
-    if (metric.name() == name) return metric.value();
-  }
-  return -1;
+  return MetricOf(status, name);
 }
 
 class EnvServiceTest : public testing::Test {

@@ -24,6 +24,8 @@ from craftfleet import _arguments, _engine, _lanes
 
 PROTOCOL_VERSION = 3
 MAX_MESSAGE_BYTES = 96 << 20
+MAX_LANES = 4096  # of one session
+REST_OF_LANE = 8 << 10  # bytes: at least what a reply has for a lane besides pictures
 MAX_PORT = 2**16 - 1
 TERMINATED, TRUNCATED = 1, 2
 # Rewards that a step can give, in tenths: a change of health, and 1 for an achievement. Replies have them as float32.
@@ -74,7 +76,7 @@ class RemoteVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndar
     self._sessions: list[_Session] = []
     self._owner, self._busy, self._asking = os.getpid(), threading.Lock(), False
     self.num_envs = _arguments.integer("num_envs", num_envs, 1, 1 << 20)
-    pixels = _arguments.integer("size", size, 9, 1024)
+    pixels = _arguments.integer("size", size, 18, 1024)
     steps = _arguments.integer("length", length, 1, _arguments.MAX_INT)
     _arguments.check_env_name(env)
     if tls is not None and not isinstance(tls, Tls):
@@ -94,17 +96,17 @@ class RemoteVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndar
     self._episodes = np.zeros(self.num_envs, np.int64)  # that each lane plays
     hosts = _hosts(addresses)
     bounds = np.linspace(0, self.num_envs, len(hosts) + 1).astype(int)
+    most = _most_lanes(pixels, self._details)
     try:
       for host, first, end in zip(hosts, bounds, bounds[1:]):
-        if first == end:
-          continue
-        session = _Session(host, range(int(first), int(end)), tls, float(timeout))
-        self._sessions.append(session)
-        hello = session.request.hello
-        hello.protocol_version, hello.client = PROTOCOL_VERSION, f"craftfleet-python-{os.getpid()}"
-        hello.env.name, hello.env.frame_size, hello.env.length = env, pixels, steps
-        if self._details:
-          hello.recording.SetInParent()
+        for lane in range(int(first), int(end), most):
+          session = _Session(host, range(lane, min(lane + most, int(end))), tls, float(timeout))
+          self._sessions.append(session)
+          hello = session.request.hello
+          hello.protocol_version, hello.client = PROTOCOL_VERSION, f"craftfleet-python-{os.getpid()}"
+          hello.env.name, hello.env.frame_size, hello.env.length = env, pixels, steps
+          if self._details:
+            hello.recording.SetInParent()
       self._exchange()
     except BaseException:
       self.close()
@@ -234,6 +236,12 @@ class RemoteVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndar
           info["final_obs"] = self._frames(moment.frame, 1)[0]
       if info:
         self._add_info(infos, info, lane)
+
+
+def _most_lanes(pixels: int, details: bool) -> int:
+  """The lanes of one session whose reply to a step fits a message, even if all games end in it."""
+  frames = 3 if details else 2  # the next game's first, the last game's last, and the moment's
+  return max(1, min(MAX_LANES, MAX_MESSAGE_BYTES // (frames * pixels**2 * 3 + REST_OF_LANE)))
 
 
 def _hosts(addresses: Any) -> list[str]:

@@ -44,6 +44,17 @@ class BoundedTraits {
   }
 };
 
+// For requests of streams: gRPC ends a stream whose request cannot be read as if its client had left. In its place the
+// service gets an empty request, which it refuses.
+template <typename T>
+class EmptyIfUnreadable : public BoundedTraits<T> {
+ public:
+  static grpc::Status Deserialize(grpc::ByteBuffer* buffer, google::protobuf::MessageLite* message) {
+    if (!BoundedTraits<T>::Deserialize(buffer, message).ok()) message->Clear();
+    return grpc::Status::OK;
+  }
+};
+
 }  // namespace craftfleet::v1
 
 namespace grpc {
@@ -55,9 +66,7 @@ namespace grpc {
 CRAFTFLEET_BOUND(google::protobuf::MessageLite);
 CRAFTFLEET_BOUND(craftfleet::v1::WatchRequest);
 CRAFTFLEET_BOUND(craftfleet::v1::StatusReply);
-CRAFTFLEET_BOUND(craftfleet::v1::PlayRequest);
 CRAFTFLEET_BOUND(craftfleet::v1::PlayReply);
-CRAFTFLEET_BOUND(craftfleet::v1::ActorMessage);
 CRAFTFLEET_BOUND(craftfleet::v1::LearnerMessage);
 CRAFTFLEET_BOUND(craftfleet::v1::WeightsRequest);
 // The learner's short calls have callbacks, which read requests by their type.
@@ -67,6 +76,12 @@ CRAFTFLEET_BOUND(craftfleet::v1::EvaluationResult);
 CRAFTFLEET_BOUND(craftfleet::v1::Announcement);
 CRAFTFLEET_BOUND(craftfleet::v1::LeaveRequest);
 #undef CRAFTFLEET_BOUND
+template <>
+class SerializationTraits<craftfleet::v1::PlayRequest, void>
+    : public craftfleet::v1::EmptyIfUnreadable<craftfleet::v1::PlayRequest> {};
+template <>
+class SerializationTraits<craftfleet::v1::ActorMessage, void>
+    : public craftfleet::v1::EmptyIfUnreadable<craftfleet::v1::ActorMessage> {};
 
 }  // namespace grpc
 

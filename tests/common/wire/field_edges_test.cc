@@ -68,8 +68,7 @@ const FieldExpectations& Expectations() {
           {"SessionHello.frame_formats[]", "the server looks for one that it knows (env_service_test)"},
           {"OpenLanes.lanes.lane", "any number from 0; a negative one is refused (env_batch_test)"},
           {"OpenLanes.lanes.seed", "any number"},
-          {"CloseLanes.lanes[]", "lanes that are not open are ignored"},
-          {"CloseLanes.lanes", "the same"},
+          {"CloseLanes.lanes", "lanes that are not open are ignored"},
           {"PlayReply.refused.reason", "cut when it is read (CutReason)"},
           {"PlayReply.moments.achievements", "any number from 0; a negative one is refused (convert_test)"},
           {"CheckpointState.format", "the manifest's counts (checkpoint_store_test)"},
@@ -91,8 +90,9 @@ const FieldExpectations& Expectations() {
           {"SessionHello.texture_digest", "textures"},
           {"SessionHello.recording.picture_size", "picture width"},
           {"SessionHello.game_canary", "canary"},
-          {"OpenLanes.lanes[]", "in a session"},
-          {"StepLanes.lanes[]", "actions"},
+          {"OpenLanes.lanes[]", "named twice"},
+          {"StepLanes.lanes[]", "lanes in one request"},
+          {"CloseLanes.lanes[]", "lanes in one request"},
           {"PlayReply.snapshots", "snapshot"},
           {"PlayReply.moments.player_x", "moment.player"},
           {"PlayReply.moments.player_y", "moment.player"},
@@ -295,7 +295,6 @@ absl::Status CheckReplies(v1::PlayReply* all) {
   const PlayReplyCheck check(session, kFrameBytes);
   v1::PlayReply hello;
   hello.set_program_version(all->program_version());
-  hello.set_cpu(all->cpu());
   hello.set_canary(all->canary());
   CRAFTFLEET_RETURN_IF_ERROR(check.Hello(hello));
   v1::OpenLanes opening;
@@ -304,7 +303,6 @@ absl::Status CheckReplies(v1::PlayReply* all) {
   open.mutable_refused()->Swap(all->mutable_refused());
   CRAFTFLEET_RETURN_IF_ERROR(check.Open(opening, open));
   all->clear_program_version();
-  all->clear_cpu();
   all->clear_canary();
   v1::StepLanes step;
   step.add_lanes(0);
@@ -325,7 +323,6 @@ CheckedMessage PlayReplyCase() {
   wire::ToProto(&batch, &reply);
   wire::ToProto(std::vector<Moment>{SampleMoment(1)}, &reply);
   reply.set_program_version("0.2.0");
-  reply.set_cpu("a CPU");
   reply.set_canary("0123456789abcdef");
   reply.add_episode_steps(0);
   reply.add_refused()->set_reason("damaged");

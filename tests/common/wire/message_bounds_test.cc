@@ -52,7 +52,7 @@ TEST(MessageBounds, LargeMessagesHaveABoundedNumberOfFields) {
 }
 
 TEST(MessageBounds, FieldsCountAtEveryLevel) {
-  // ActorMessage.permits.summary.times
+  // PlayReply.server.times
   const std::string times = EmptyMessages(8, v1::kMaxFields);
   const auto within = [](int number, const std::string& bytes) {
     std::string message = {static_cast<char>(number << 3 | 2)};
@@ -61,8 +61,8 @@ TEST(MessageBounds, FieldsCountAtEveryLevel) {
     }
     return message + bytes;
   };
-  v1::ActorMessage message;
-  EXPECT_EQ(Parse(within(1, within(10, times)), &message).error_code(), grpc::StatusCode::RESOURCE_EXHAUSTED);
+  v1::PlayReply message;
+  EXPECT_EQ(Parse(within(11, times), &message).error_code(), grpc::StatusCode::RESOURCE_EXHAUSTED);
 }
 
 // No message has any; the parser keeps what is in them.
@@ -73,10 +73,10 @@ TEST(MessageBounds, FieldsOfGroupsCountToo) {
   // Field 1 is a message in ours, and here is none that could be parsed.
   const std::string unlike_ours = "\x0a\x01\xff" + EmptyMessages(15, v1::kMaxFields);
   for (const std::string& bytes : {group(EmptyMessages(15, v1::kMaxFields)), group(groups), group(unlike_ours)}) {
-    v1::PlayRequest request;
+    v1::LearnerMessage request;
     EXPECT_EQ(Parse(bytes, &request).error_code(), grpc::StatusCode::RESOURCE_EXHAUSTED);
   }
-  v1::PlayRequest request;
+  v1::LearnerMessage request;
   EXPECT_TRUE(Parse(group(EmptyMessages(15, v1::kMaxFields - 1)), &request).ok()) << "of a later version";
   EXPECT_EQ(Parse(std::string(1 << 20, '\x7b'), &request).error_code(), grpc::StatusCode::INTERNAL) << "too deep";
 }
@@ -88,6 +88,18 @@ TEST(MessageBounds, FramesMayBeLarge) {
   v1::ActorMessage received;
   EXPECT_TRUE(Parse(message.SerializeAsString(), &received).ok());
   EXPECT_EQ(received.fragment().frames().size(), 50u << 20);
+}
+
+// gRPC took a stream with an unreadable request for one whose client had left, and ended it with OK.
+TEST(MessageBounds, UnreadableRequestsOfStreamsBecomeEmptyOnes) {
+  const auto expect_empty = [](auto request) {
+    for (const std::string& bytes : {std::string("\x12\xff"), EmptyMessages(2, v1::kMaxFields + 1)}) {
+      EXPECT_TRUE(Parse(bytes, &request).ok());
+      EXPECT_EQ(request.ByteSizeLong(), 0);
+    }
+  };
+  expect_empty(v1::PlayRequest());
+  expect_empty(v1::ActorMessage());
 }
 
 TEST(MessageBounds, MalformedMessagesAreRefusedByTheParser) {

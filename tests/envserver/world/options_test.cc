@@ -12,18 +12,11 @@ namespace {
 
 using testing::HasSubstr;
 
-TEST(WorldOptions, DefaultsArePlainCrafter) {
+TEST(WorldOptions, DefaultsAreValid) {
   const WorldOptions options;
   EXPECT_THAT(options.Validate(), IsOk());
   EXPECT_EQ(options.update_distance(), 18);
   EXPECT_EQ(options.inventory_rows(), 2);
-  const WorldOptions named = WorldOptions::FromEnvName(*EnvName::Parse("crafter"));
-  EXPECT_EQ(named.appearance, "");
-  EXPECT_EQ(named.numbers.tree, 0.8);
-  EXPECT_EQ(named.numbers.coal, 0.85);
-  EXPECT_EQ(named.numbers.cow, 0.985);
-  EXPECT_EQ(named.numbers.zombie, 0.993);
-  EXPECT_EQ(named.numbers.skeleton, 0.95);
 }
 
 TEST(WorldOptions, FromEnvNameSetsAppearanceAndNumbers) {
