@@ -108,7 +108,8 @@ absl::Status CheckMessage(const v1::RunConfig& config, const wire::FragmentShape
   const int64_t bytes = LargestFragmentBytes(shape);
   if (bytes <= wire::kMaxMessageBytes) return absl::OkStatus();
   wire::FragmentShape fits = shape;
-  while (fits.steps > 1 && LargestFragmentBytes(fits) > wire::kMaxMessageBytes) {
+  const int32_t lane_steps = config.ppo().rollout_steps() / config.lanes();  // of which it must be a divisor
+  while (fits.steps > 1 && (LargestFragmentBytes(fits) > wire::kMaxMessageBytes || lane_steps % fits.steps != 0)) {
     --fits.steps;
     if (shape.states > 1) fits.states = fits.steps;
   }

@@ -128,12 +128,19 @@ absl::Status CheckObjects(const Network& network) {
 
 absl::Status CheckNetwork(const Network& network) {
   RangeCheck check;
-  check.That(network.extractor() != Network::EXTRACTOR_UNSPECIFIED,
-             "network.extractor is EXTRACTOR_UNSPECIFIED, want CNN, SPCNN, RESNET or GRID_RESNET");
-  check.That(network.objects() != Network::OBJECT_MODULE_UNSPECIFIED,
-             "network.objects is OBJECT_MODULE_UNSPECIFIED, want NO_OBJECTS, SELF_ATTENTION or CROSS_ATTENTION");
-  check.That(!network.recurrent() || network.critic() != Network::CRITIC_UNSPECIFIED,
-             "network.critic is CRITIC_UNSPECIFIED, want LINEAR or LSTM");
+  const bool known_extractor =
+      network.extractor() != Network::EXTRACTOR_UNSPECIFIED && Network::Extractor_IsValid(network.extractor());
+  check.That(known_extractor,
+             "network.extractor is EXTRACTOR_UNSPECIFIED or unknown, want CNN, SPCNN, RESNET or GRID_RESNET");
+  const bool known_objects =
+      network.objects() != Network::OBJECT_MODULE_UNSPECIFIED && Network::ObjectModule_IsValid(network.objects());
+  check.That(
+      known_objects,
+      "network.objects is OBJECT_MODULE_UNSPECIFIED or unknown, want NO_OBJECTS, SELF_ATTENTION or CROSS_ATTENTION");
+  const bool known_critic =
+      network.critic() != Network::CRITIC_UNSPECIFIED && Network::Critic_IsValid(network.critic());
+  check.That(!network.recurrent() || known_critic,
+             "network.critic is CRITIC_UNSPECIFIED or unknown, want LINEAR or LSTM");
   // Each of the nine rows of tiles needs at least one pixel.
   const int least_size = network.extractor() == Network::CNN ? kMinCnnFrameSize : 9;
   check.Within("network.frame_size", network.frame_size(), least_size, kMaxFrameSize);

@@ -91,8 +91,10 @@ absl::Status CheckRelations(const v1::RunConfig& config) {
   CRAFTFLEET_ASSIGN_OR_RETURN(const v1::NetworkConfig network, ResolveNetwork(config));
   RangeCheck check;
   const v1::PpoConfig& ppo = config.ppo();
-  check.That(!network.recurrent() || ppo.recurrent_batches() != v1::PpoConfig::RECURRENT_BATCHES_UNSPECIFIED,
-             "ppo.recurrent_batches is RECURRENT_BATCHES_UNSPECIFIED, want SEGMENTS or PUBLISHED");
+  const bool known_batches = ppo.recurrent_batches() != v1::PpoConfig::RECURRENT_BATCHES_UNSPECIFIED &&
+                             v1::PpoConfig::RecurrentBatches_IsValid(ppo.recurrent_batches());
+  check.That(!network.recurrent() || known_batches,
+             "ppo.recurrent_batches is RECURRENT_BATCHES_UNSPECIFIED or unknown, want SEGMENTS or PUBLISHED");
   check.Multiple("ppo.rollout_steps", ppo.rollout_steps(), "lanes * fragment_steps",
                  int64_t{config.lanes()} * config.fragment_steps());
   check.Multiple("ppo.rollout_steps", ppo.rollout_steps(), "ppo.minibatch_size", ppo.minibatch_size());

@@ -52,7 +52,8 @@ absl::StatusOr<v1::RunConfig::Cpu> ParseCpu(absl::string_view name) {
 }
 
 absl::Status CheckCpu(v1::RunConfig::Cpu cpu) {
-  if (cpu == Cpu::NATIVE || cpu == Cpu::CPU_UNSPECIFIED || Has(cpu)) return absl::OkStatus();
+  const bool is_for_config_check = cpu == Cpu::CPU_UNSPECIFIED || !v1::RunConfig::Cpu_IsValid(cpu);
+  if (cpu == Cpu::NATIVE || is_for_config_check || Has(cpu)) return absl::OkStatus();
   return absl::FailedPreconditionError(absl::StrFormat(
       "the run wants cpu: %s, which this machine's CPU lacks (%s): use machines that have it, or begin the run with %s",
       v1::RunConfig::Cpu_Name(cpu), cpu == Cpu::AVX2 ? "avx2 and fma" : "avx512f, bw, dq, vl and cd",

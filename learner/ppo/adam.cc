@@ -17,8 +17,8 @@ struct Block {
   size_t weights_offset;  // in the flat array
 };
 
-// Values in a block: fixed, so that sums don't depend on the number of threads.
-constexpr size_t kBlock = 16384;
+// Fixed, so that sums don't depend on the number of threads.
+constexpr size_t kBlock = kAdamBlock;
 
 std::vector<Block> CutIntoBlocks(const ShardGradient& gradient) {
   std::vector<Block> blocks;

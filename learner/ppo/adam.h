@@ -34,6 +34,10 @@ AdamOptions AdamOptionsOf(const v1::PpoConfig& config);
 // which then stay as they are. In shards after the first, a piece may be empty: it is in the first one's already.
 using ShardGradient = std::vector<absl::Span<float>>;
 
+// The squares of a piece are added in blocks of so many values from its start: a parameter in pieces of whole blocks
+// has the norm of one in a single piece.
+inline constexpr int64_t kAdamBlock = 16384;
+
 // Adds the gradients of the shards in their order into the first, then takes one step on `weights`, in place. At least
 // one shard; all are cut into the same pieces. Shares the work out over `workers`; their number does not change a bit
 // of the result. Returns the L2 norm of the summed gradient before clipping; if it is not finite, weights and state are

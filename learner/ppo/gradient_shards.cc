@@ -21,7 +21,7 @@ namespace craftfleet {
 namespace {
 
 // A wide layer's gradient is in as many pieces, which then fit into what the backward passes have given back to the
-// pool.
+// pool; in one where that would add its squares in another order than several ranks, which have one.
 constexpr int64_t kWidePieces = 8;
 
 absl::Span<float> FloatSpan(const at::Tensor& tensor) {
@@ -106,7 +106,7 @@ absl::Status GradientShards::SumWideGradients(ShardRange range, std::vector<Shar
     if (!factors->input.defined()) continue;  // it has its gradient already
     const int64_t inputs = factors->input.size(1);
     const int64_t outputs = factors->output_gradient.size(1);
-    const int64_t count = outputs % kWidePieces == 0 ? kWidePieces : 1;
+    const int64_t count = outputs * inputs % (kWidePieces * kAdamBlock) == 0 ? kWidePieces : 1;
     for (ShardGradient& gradient : *gradients) gradient.insert(gradient.begin() + weight, count - 1, {});
     std::vector<float*> pieces;
     for (int64_t i = 0; i < count; ++i) {

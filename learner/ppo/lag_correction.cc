@@ -9,7 +9,8 @@ namespace craftfleet {
 
 bool CorrectsLag(const v1::RunConfig& config, const v1::NetworkConfig& network) {
   const bool lags = config.overlap() > 0 || config.max_staleness() > 0;
-  return lags && config.ppo().epochs() > 1 && network.dropout() == 0;
+  const bool has_dropout = network.objects() != v1::NetworkConfig::NO_OBJECTS && network.dropout() > 0;
+  return lags && config.ppo().epochs() > 1 && !has_dropout;
 }
 
 GaeOptions GaeOptionsOf(const v1::PpoConfig& config) {

@@ -7,6 +7,7 @@
 
 #include <absl/status/statusor.h>
 
+#include "common/agent/nets/goal_predictor.h"
 #include "common/base/status_macros.h"
 #include "learner/ppo/update_state.h"
 
@@ -21,7 +22,9 @@ Few ToFew(const PpoLossSums& sums) {
 
 RankSums::RankSums(const AgentSpec& spec, int shards, RankGroup* group)
     : params_(spec.param_count), shards_(shards), group_(group) {
-  for (const ParamSpec& param : spec.params) sizes_.push_back(param.size);
+  for (const ParamSpec& param : spec.params) {
+    if (!IsOfGoalPredictor(param.name)) sizes_.push_back(param.size);
+  }
 }
 
 ShardRange RankSums::OwnShards(int shards) const {

@@ -59,8 +59,9 @@ class RankSums {
   RankGroup* const group_;
   bool has_shared_memory_ = false;  // RankGroup::ShareMemory was called
   std::function<bool()> should_stop_;
-  std::vector<size_t> sizes_;  // of the pieces of the last gradient that this rank had; of all parameters before it
-  std::vector<float> total_;   // of the last gradients
+  // Of the pieces of the last gradient that this rank had; before it, of the parameters that PPO trains.
+  std::vector<size_t> sizes_;
+  std::vector<float> total_;  // of the last gradients
 };
 
 }  // namespace craftfleet

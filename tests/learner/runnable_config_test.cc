@@ -95,6 +95,8 @@ TEST(RunnableConfig, AnOversizedRunIsRefusedWithTheLargestField) {
         << text;
   };
   refuses("fragment_steps: 8192 ppo { rollout_steps: 131072 }", "fragment_steps is 8192: a fragment may have");
+  refuses("agent: \"ppo_resnet_published\" network { frame_size: 256 }",  // 510 fit, which do not divide a lane's steps
+          "bytes, but a message at most 100663296: want at most 256");
   refuses("ppo { rollout_steps: 16777216 }", "ppo.rollout_steps is 16777216: the learner needs at least");
   refuses("ppo { rollout_steps: 1048576 minibatch_size: 1048576 }", "ppo.minibatch_size is 1048576: ");
   refuses("agent: \"ppo_spcnn\" network { frame_size: 256 }", "network.frame_size is 256: ");

@@ -6,6 +6,8 @@
 #include <cstdint>
 
 #include <ATen/core/ATen_fwd.h>
+#include <absl/strings/match.h>
+#include <absl/strings/string_view.h>
 
 #include "common/agent/nets/layers.h"
 
@@ -33,6 +35,11 @@ class GoalPredictor {
   NormedLinear predictor0_;
   LinearLayer predictor1_;
 };
+
+// Whether a parameter of this name is one of these layers', which PPO does not train.
+inline bool IsOfGoalPredictor(absl::string_view param) {
+  return absl::StartsWith(param, "film.") || absl::StartsWith(param, "predictor.");
+}
 
 }  // namespace craftfleet
 

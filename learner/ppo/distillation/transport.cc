@@ -56,11 +56,14 @@ std::vector<double> TransportPlan(absl::Span<const float> cost, int rows, int co
   std::vector<double> row_corrections(rows, 1.0);
   std::vector<double> column_corrections(columns, 1.0);
   double total_correction = 1;
+  std::vector<double> last;
   for (int round = 0; round < options.rounds; ++round) {
+    last = plan;
     BoundLines({rows, columns, columns, 1}, &row_corrections, &plan);
     BoundLines({columns, rows, 1, columns}, &column_corrections, &plan);
     for (double& x : plan) x *= total_correction;
     const double factor = mass / Sum(plan);
+    if (!std::isfinite(factor) || factor == 0) return last;  // corrections have outgrown double
     for (double& x : plan) x *= factor;
     total_correction = 1 / factor;
   }

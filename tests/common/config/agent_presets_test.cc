@@ -59,8 +59,12 @@ INSTANTIATE_TEST_SUITE_P(
         BadNetwork{"ppo_gnn", "", "agent \"ppo_gnn\" is unknown; known agents: ppo_cnn, lstm_cnn"},
         BadNetwork{"ppo_cnn", "frame_size: 35", "network.frame_size is 35, want 36..256"},
         BadNetwork{"ppo_spcnn", "frame_size: 300", "network.frame_size is 300, want 9..256"},
-        BadNetwork{"ppo_cnn", "extractor: EXTRACTOR_UNSPECIFIED", "network.extractor is EXTRACTOR_UNSPECIFIED, want"},
-        BadNetwork{"oc_sa", "objects: OBJECT_MODULE_UNSPECIFIED", "network.objects is OBJECT_MODULE_UNSPECIFIED, want"},
+        BadNetwork{"ppo_cnn", "extractor: EXTRACTOR_UNSPECIFIED",
+                   "network.extractor is EXTRACTOR_UNSPECIFIED or unknown"},
+        BadNetwork{"ppo_cnn", "extractor: 7", "or unknown, want CNN, SPCNN, RESNET or GRID_RESNET"},
+        BadNetwork{"oc_sa", "objects: OBJECT_MODULE_UNSPECIFIED",
+                   "network.objects is OBJECT_MODULE_UNSPECIFIED or unknown"},
+        BadNetwork{"oc_sa", "objects: 7", "or unknown, want NO_OBJECTS, SELF_ATTENTION or CROSS_ATTENTION"},
         BadNetwork{"oc_sa", "extractor: CNN", "network.extractor is CNN, want SPCNN"},
         BadNetwork{"oc_sa", "patch: 73", "network.patch is 73, want 1..72"},
         BadNetwork{"oc_ca", "frame_size: 15", "network.patch is 16, want 1..15"},
@@ -80,7 +84,8 @@ INSTANTIATE_TEST_SUITE_P(
         BadNetwork{"ppo_cnn", "width: 16", "network.width is given, but only extractor: RESNET or GRID_RESNET has it"},
         BadNetwork{"lstm_cnn", "memory: true", "network.memory is true, want NO_OBJECTS and recurrent: false"},
         BadNetwork{"oc_sa", "goal_predictor: true", "network.goal_predictor is true, want NO_OBJECTS and"},
-        BadNetwork{"ppo_cnn", "recurrent: true", "network.critic is CRITIC_UNSPECIFIED, want LINEAR or LSTM"}));
+        BadNetwork{"lstm_cnn", "critic: 9", "network.critic is CRITIC_UNSPECIFIED or unknown, want LINEAR or LSTM"},
+        BadNetwork{"ppo_cnn", "recurrent: true", "network.critic is CRITIC_UNSPECIFIED or unknown"}));
 
 }  // namespace
 }  // namespace craftfleet

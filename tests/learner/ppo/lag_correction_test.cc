@@ -52,12 +52,15 @@ void ExpectNear(const Floats& actual, const Floats& wanted, double tolerance) {
 }
 
 TEST(LagCorrection, IsMadeWhereOlderWeightsPlayAndItCostsNothing) {
-  const auto corrects = [](int overlap, int max_staleness, int epochs, double dropout) {
+  using Network = v1::NetworkConfig;
+  const auto corrects = [](int overlap, int max_staleness, int epochs, double dropout,
+                           Network::ObjectModule objects = Network::SELF_ATTENTION) {
     v1::RunConfig config;
     config.set_overlap(overlap);
     config.set_max_staleness(max_staleness);
     config.mutable_ppo()->set_epochs(epochs);
-    v1::NetworkConfig network;
+    Network network;
+    network.set_objects(objects);
     network.set_dropout(dropout);
     return CorrectsLag(config, network);
   };
@@ -66,6 +69,7 @@ TEST(LagCorrection, IsMadeWhereOlderWeightsPlayAndItCostsNothing) {
   EXPECT_FALSE(corrects(0, 0, 4, 0)) << "a synchronous run";
   EXPECT_FALSE(corrects(1, 0, 1, 0)) << "a single epoch";
   EXPECT_FALSE(corrects(0, 2, 4, 0.1)) << "dropout";
+  EXPECT_TRUE(corrects(0, 2, 4, 0.1, Network::NO_OBJECTS)) << "the preset's, of a part that the network does not have";
 }
 
 TEST(LagCorrection, AnImplausibleLogProbabilityHasAFiniteWeight) {

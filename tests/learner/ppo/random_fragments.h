@@ -23,7 +23,8 @@ inline std::vector<Fragment> RandomFragments(const PpoUpdater& updater, int lane
   for (int i = 0; i < lanes * fragments; ++i) {
     Fragment& fragment = result.emplace_back();
     fragment.lane = i / fragments;
-    fragment.frames = GoldenFrames(100 + i, steps, spec.frame_size);
+    const int size = (spec.frame_size + 3) / 4 * 4;  // theirs is a multiple of 4
+    fragment.frames = GoldenFrames(100 + i, steps, size).substr(0, steps * spec.frame_bytes());
     fragment.states = GoldenUniforms(absl::StrCat("states", i), (every_state ? steps : 1) * spec.state_size, -0.5, 0.5);
     for (int step = 0; step < steps; ++step) {
       const auto uniform = [&](int k) { return static_cast<float>(ActionNoise(5, i * steps + step, k)); };

@@ -11,6 +11,7 @@
 #include "common/config/config.h"
 #include "learner/ppo/ppo_updater.h"
 #include "learner/ppo/rollout.h"
+#include "tests/fakes/file_size_limit.h"
 #include "tests/fakes/no_tensor_memory.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/learner/ppo/random_fragments.h"
@@ -75,6 +76,8 @@ TEST_P(RankUpdateTest, GivesTheBytesOfOneProcess) {
 INSTANTIATE_TEST_SUITE_P(
     Kinds, RankUpdateTest,
     testing::Values(Kind{"FeedForward", "agent: 'ppo_cnn'", 3},
+                    // An eighth of its linear layer is not a multiple of Adam's block.
+                    Kind{"OddFrames", "agent: 'ppo_spcnn' network { frame_size: 25 }"},
                     // Some minibatches have fewer segments than shards.
                     Kind{"Recurrent", "agent: 'lstm_cnn' ppo { minibatch_size: 6 }", 3},
                     Kind{"ValueNorm", "agent: 'ppo_resnet' network { extractor: CNN }"},
@@ -138,6 +141,27 @@ TEST(RankUpdate, WithoutMemoryOnOneRankTheUpdateIsUndoneOnAll) {
       });
     }
   }
+}
+
+// PPO does not train the goal predictor, so the sum has fewer numbers than weights. Ranks that share no memory ended
+// with the wrong number.
+TEST(RankUpdate, AFirstUpdateThatFailsOnOneRankIsUndoneOnAll) {
+  const FileSizeLimit no_shared_memory(1 << 20);
+  InGroup(2, [&](RankGroup* group) {
+    const auto updater = PpoUpdater::Create(ConfigOf("agent: 'cnn_distillation'"), 1).value();
+    updater->ShareOut(group);
+    const std::vector<Fragment> fragments = FragmentsOf(*updater);
+    const Rollout rollout = RolloutOf(*updater, fragments);
+    const std::string before = *updater->SaveWeights();
+    {
+      std::optional<NoTensorMemory> no_memory;
+      if (group->rank() == 1) no_memory.emplace(0);
+      EXPECT_THAT(updater->Update(0, rollout, NeverStop), StatusIs(absl::StatusCode::kInternal, testing::_));
+      EXPECT_THAT(group->Share(false), IsOk());  // waits for the other
+    }
+    EXPECT_TRUE(*updater->SaveWeights() == before);
+    EXPECT_THAT(updater->Update(0, rollout, NeverStop), IsOk());
+  });
 }
 
 TEST(RankUpdate, RankWithOtherWeightsIsNamedAndTheUpdateUndone) {

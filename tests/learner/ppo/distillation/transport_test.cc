@@ -1,5 +1,8 @@
 #include "learner/ppo/distillation/transport.h"
 
+#include <numeric>
+#include <vector>
+
 #include <gtest/gtest.h>
 
 #include "tests/agent/golden_agent.h"
@@ -45,6 +48,12 @@ TEST(Transport, APlanOfHighCostsHasAllMass) {
 TEST(Transport, APlanOfVeryDifferentCostsConverges) {
   const std::vector<double> plan = TransportPlan({0.1F, 0.95F, 0.9F, 0.9F}, 2, 2, {1e-3, 10'000});
   ExpectPlan(plan, {{1, 0}, {0, 1}}, 1e-3);
+}
+
+// Corrections grow from round to round until they are infinite. The plan was NaN then.
+TEST(Transport, APlanOfManyRoundsIsFiniteAndHasAllMass) {
+  const std::vector<double> plan = TransportPlan({2, 2, 2, 0, 2, 2, 2, 2, 0, 2, 2, 2, 2, 2, 2}, 3, 5, {1e-3, 5000});
+  EXPECT_NEAR(std::accumulate(plan.begin(), plan.end(), 0.0), 3, 1e-9);
 }
 
 TEST(Transport, AMatchHasMoreThanTheThreshold) {
