@@ -262,7 +262,7 @@ Learner::Learner(const Options& options, Loaded loaded)
       weights_(KeptVersions(config_)),
       fragments_(FragmentsPerIteration(config_) * (1 + config_.max_staleness())),
       evaluations_(config_.eval(), config_.steps(), loaded.checkpoint, &registry_, folder_.get()),
-      progress_({options.progress_in_place, loaded.checkpoint.state.env_steps(),
+      progress_({options.progress_columns, loaded.checkpoint.state.env_steps(),
                  std::max(StepsToTrain(config_), loaded.checkpoint.state.env_steps()), folder_->run_id()},
                 options.progress != nullptr ? options.progress : &null_stream_, clock_.get()),
       trainer_(config_, loaded.checkpoint,

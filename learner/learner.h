@@ -3,6 +3,7 @@
 #ifndef CRAFTFLEET_LEARNER_LEARNER_H_
 #define CRAFTFLEET_LEARNER_LEARNER_H_
 
+#include <functional>
 #include <memory>
 #include <ostream>
 #include <string>
@@ -44,13 +45,13 @@ class Learner {
     std::string texture_dir;   // folder of textures; empty: the built-in ones
     bool allow_mixed = false;  // accept workers with another canary (learner/scheduling/build_check.h)
     wire::Server::Options server;
-    std::string http_address;             // of the live page (learner/page/live_page.h); empty: none
-    std::vector<std::string> http_hosts;  // further names of it
-    int threads = 1;                      // of the update, 1..256
-    RankOptions ranks;                    // of rank 0; the others are RankWorkers
-    std::string device = "cpu";           // of the update, as FindDevice returns it; `config` agrees (SetRunDevice)
-    std::ostream* progress = nullptr;     // for progress lines; null: none
-    bool progress_in_place = false;       // `progress` is a terminal
+    std::string http_address;               // of the live page (learner/page/live_page.h); empty: none
+    std::vector<std::string> http_hosts;    // further names of it
+    int threads = 1;                        // of the update, 1..256
+    RankOptions ranks;                      // of rank 0; the others are RankWorkers
+    std::string device = "cpu";             // of the update, as FindDevice returns it; `config` agrees (SetRunDevice)
+    std::ostream* progress = nullptr;       // for progress lines; null: none
+    std::function<int()> progress_columns;  // the width of `progress`; null: it is not a terminal
   };
 
   // Reads the run folder, loads the checkpoint and starts to listen. Changes nothing in the folder but its lock; only

@@ -1,5 +1,6 @@
 #include "learner/run_flags.h"
 
+#include <sys/ioctl.h>
 #include <unistd.h>
 
 #include <cstdint>
@@ -72,9 +73,20 @@ ABSL_FLAG(std::vector<std::string>, http_hosts, {},
 namespace craftfleet {
 namespace {
 
-bool Resuming() {
-  return absl::GetFlag(FLAGS_resume) ||
-         (absl::GetFlag(FLAGS_autoresume) && FindCheckpoint(absl::GetFlag(FLAGS_logdir)).ok());
+// Of standard output; 80 if the terminal does not report its size.
+int TerminalColumns() {
+  winsize size = {};
+  return ioctl(STDOUT_FILENO, TIOCGWINSZ, &size) == 0 && size.ws_col > 0 ? size.ws_col : 80;
+}
+
+// Errors as FindCheckpoint, but for NotFound.
+absl::StatusOr<bool> Resuming() {
+  if (absl::GetFlag(FLAGS_resume)) return true;
+  if (!absl::GetFlag(FLAGS_autoresume)) return false;
+  const absl::Status found = FindCheckpoint(absl::GetFlag(FLAGS_logdir)).status();
+  if (absl::IsNotFound(found)) return false;
+  CRAFTFLEET_RETURN_IF_ERROR(found);
+  return true;
 }
 
 absl::StatusOr<v1::RunConfig> BaseConfig(bool resume) {
@@ -155,7 +167,7 @@ absl::StatusOr<Learner::Options> LearnerOptionsFromFlags(v1::RunConfig::Device o
   if (options.logdir.empty()) {
     return absl::InvalidArgumentError("--logdir is missing: the folder to write the run to");
   }
-  options.resume = Resuming();
+  CRAFTFLEET_ASSIGN_OR_RETURN(options.resume, Resuming());
   options.resume_from = absl::GetFlag(FLAGS_resume_from);
   if (!absl::GetFlag(FLAGS_resume) && !options.resume_from.empty()) {
     return absl::InvalidArgumentError("--resume_from requires --resume");
@@ -176,7 +188,7 @@ absl::StatusOr<Learner::Options> LearnerOptionsFromFlags(v1::RunConfig::Device o
                              .address.value_or(options.server.files.empty() ? std::string(page_by_default) : "");
   options.http_hosts = absl::GetFlag(FLAGS_http_hosts);
   options.progress = &std::cout;
-  options.progress_in_place = isatty(STDOUT_FILENO) == 1;
+  if (isatty(STDOUT_FILENO) == 1) options.progress_columns = TerminalColumns;
   return options;
 }
 

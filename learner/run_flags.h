@@ -24,7 +24,7 @@ inline constexpr char kRunSeedHelp[] = "seed of everything random in the run [0]
 // Progress goes to standard output. `on_gpu` is what a new run with --device=cuda computes on GPUs. Prepares LibTorch
 // for the device. `page_by_default` is the address of the live page without a flag, unless the server has TLS.
 //   InvalidArgument names the flag, or the file and line.   FailedPrecondition: there is no such device, or the run is
-//   of another.
+//   of another.   With --autoresume others as FindCheckpoint but NotFound, which is a new run.
 absl::StatusOr<Learner::Options> LearnerOptionsFromFlags(v1::RunConfig::Device on_gpu,
                                                          absl::string_view page_by_default);
 

@@ -127,7 +127,8 @@ absl::StatusOr<Json> AnswerConfig(const Json& question) {
 // `steps`: those that the run is to reach. A folder without a checkpoint has no run that has begun.
 absl::StatusOr<Json> AnswerFolder(const Json& question) {
   const absl::StatusOr<std::string> checkpoint = FindCheckpoint(question["folder"].get<std::string>());
-  if (!checkpoint.ok()) return Json{{"begun", false}, {"steps", 0}, {"finished", false}};
+  if (absl::IsNotFound(checkpoint.status())) return Json{{"begun", false}, {"steps", 0}, {"finished", false}};
+  CRAFTFLEET_RETURN_IF_ERROR(checkpoint.status());
   CRAFTFLEET_ASSIGN_OR_RETURN(const v1::CheckpointState state, LoadCheckpointState(*checkpoint));
   const bool evaluated =
       state.config().eval().final_episodes() == 0 || state.final_evaluation_steps() == state.env_steps();

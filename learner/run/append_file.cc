@@ -9,6 +9,7 @@
 
 #include "common/base/status_macros.h"
 #include "common/io/files.h"
+#include "common/telemetry/log.h"
 
 namespace craftfleet {
 namespace {
@@ -59,6 +60,13 @@ absl::Status AppendFile::Prepare() {
   CRAFTFLEET_ASSIGN_OR_RETURN(const int64_t end, FindEnd());
   CRAFTFLEET_RETURN_IF_ERROR(CheckFence());
   if (end > length_ && ::ftruncate(descriptor_, length_) != 0) return FileError(errno, "cannot truncate", path_);
+  if (end < length_) {
+    LogError(
+        "%s has %d bytes, want the %d that were written: something else has cut it, and the run goes on without "
+        "what is missing; checkpoints from before cannot be resumed from until a whole copy of it is put back",
+        path_, end, length_);
+    Shorten(end);
+  }
   torn_ = false;
   return absl::OkStatus();
 }
@@ -78,7 +86,7 @@ absl::Status AppendFile::Flush() {
 }
 
 absl::Status AppendFile::Sync() {
-  if (descriptor_ < 0) CRAFTFLEET_RETURN_IF_ERROR(Prepare());
+  CRAFTFLEET_RETURN_IF_ERROR(Prepare());
   if (SyncDescriptor(descriptor_) == 0) {
     std::string().swap(unsynced_);
     return absl::OkStatus();
@@ -99,10 +107,14 @@ absl::Status AppendFile::TruncateTo(int64_t length) {
   }
   CRAFTFLEET_RETURN_IF_ERROR(Prepare());
   if (::ftruncate(descriptor_, length) != 0) return FileError(errno, "cannot truncate", path_);
+  Shorten(length);
+  return absl::OkStatus();
+}
+
+void AppendFile::Shorten(int64_t length) {
   const int64_t synced = length_ - static_cast<int64_t>(unsynced_.size());
   unsynced_.resize(length > synced ? length - synced : 0);
   length_ = length;
-  return absl::OkStatus();
 }
 
 }  // namespace craftfleet

@@ -33,7 +33,8 @@ class AppendFile {
   absl::Status Flush();
 
   // Makes all flushed data durable. On an error, data flushed since the last success returns to the buffer: the system
-  // may have dropped it, and a second sync would not report that. The next Flush writes it to a new descriptor.
+  // may have dropped it, and a second sync would not report that. The next Flush writes it to a new descriptor. Others
+  // as EpochFence::Check.
   absl::Status Sync();
 
   // Truncates the file to `length` bytes. The buffer must be empty.
@@ -49,9 +50,12 @@ class AppendFile {
   absl::Status OpenDescriptor();
   absl::StatusOr<int64_t> FindEnd() const;  // the file's length, in bytes
   absl::Status CheckFence() const;
-  // To be called before a change: checks the fence, reopens the file after a failed sync, cuts off what is not this
-  // log's: a torn end, or a line that an earlier start was writing when this one took over.
+  // To be called before a change or a sync: checks the fence, reopens the file after a failed sync, cuts off what is
+  // not this log's: a torn end, or a line that an earlier start was writing when this one took over. Logs an error if
+  // something else has cut the file, and goes on from its end.
   absl::Status Prepare();
+  // Forgets what was written after the first `length` bytes.
+  void Shorten(int64_t length);
 
   std::string path_;
   const EpochFence* fence_;

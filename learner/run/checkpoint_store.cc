@@ -1,7 +1,11 @@
 #include "learner/run/checkpoint_store.h"
 
+#include <sys/stat.h>
+
 #include <algorithm>
+#include <cerrno>
 #include <cmath>
+#include <utility>
 
 #include <absl/strings/match.h>
 #include <absl/strings/numbers.h>
@@ -28,9 +32,20 @@ int64_t IterationOf(absl::string_view name) {
   return iteration;
 }
 
-// Includes checkpoints whose replacement was interrupted by a kill.
+// Whether there is nothing of this name, not even a link that leads nowhere. False if the disk can't tell.
+bool IsAbsent(const std::string& path) {
+  struct stat found = {};
+  return ::lstat(path.c_str(), &found) != 0 && (errno == ENOENT || errno == ENOTDIR);
+}
+
+// Includes checkpoints whose replacement was interrupted by a kill. Empty if there is no folder.
 absl::StatusOr<std::vector<std::string>> ListCheckpoints(const std::string& folder) {
-  CRAFTFLEET_ASSIGN_OR_RETURN(std::vector<std::string> names, ListFolder(folder));
+  if (IsAbsent(folder)) return std::vector<std::string>();
+  absl::StatusOr<std::vector<std::string>> listed = ListFolder(folder);
+  if (absl::IsNotFound(listed.status())) {
+    return absl::UnavailableError(absl::StrCat(listed.status().message(), ": put back what this link leads to"));
+  }
+  CRAFTFLEET_ASSIGN_OR_RETURN(std::vector<std::string> names, std::move(listed));
   for (std::string& name : names) name = std::string(absl::StripPrefix(name, kReplacedPrefix));
   names.erase(std::remove_if(names.begin(), names.end(), [](const std::string& n) { return IterationOf(n) < 0; }),
               names.end());
@@ -88,6 +103,7 @@ absl::StatusOr<std::string> FindCheckpoint(const std::string& path) {
   for (const std::string& folder : {JoinPath(path, "checkpoints"), path}) {
     const absl::StatusOr<std::vector<std::string>> names = ListCheckpoints(folder);
     if (names.ok() && !names->empty()) return PathIn(folder, names->front());
+    if (!names.ok() && folder != path) return names.status();
   }
   return absl::NotFoundError(
       absl::StrCat("no checkpoint at ", path, ": want a run's folder, or one like <logdir>/checkpoints/iter-00000010"));

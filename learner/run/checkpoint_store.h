@@ -22,7 +22,7 @@ std::string CheckpointName(int64_t iteration);
 
 // Resolves a user's `path` to a checkpoint's folder. `path` is a checkpoint, or a run folder, for its newest
 // checkpoint.
-//   NotFound: it is neither.
+//   NotFound: it is neither.   Others as ListNewestFirst, of a run folder.
 absl::StatusOr<std::string> FindCheckpoint(const std::string& path);
 
 // Loads FindCheckpoint(path) and stores its folder in `folder`. If a run's newest checkpoint can't be loaded, the error
@@ -46,7 +46,8 @@ class CheckpointStore {
   //   including a failed sync, the earlier checkpoints are unchanged and no part of this one is left.
   absl::Status Write(const Checkpoint& checkpoint);
 
-  // Names, the highest iteration first.
+  // Names, the highest iteration first; none if there is no folder.
+  //   Unavailable: the folder is a link that leads nowhere.   Others as ListFolder: it cannot be listed.
   absl::StatusOr<std::vector<std::string>> ListNewestFirst() const;
 
   // Errors as LoadCheckpoint; NotFound: no checkpoint of that name; lists the existing ones.

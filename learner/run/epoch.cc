@@ -9,6 +9,7 @@
 #include <absl/strings/str_split.h>
 
 #include "common/base/printable.h"
+#include "common/base/range_check.h"
 #include "common/base/status_macros.h"
 #include "common/io/files.h"
 #include "learner/run/folder_lock.h"
@@ -16,7 +17,8 @@
 namespace craftfleet {
 namespace {
 
-constexpr size_t kMostShown = 40;  // bytes of a damaged file
+constexpr size_t kMostShown = 40;             // bytes of a damaged file
+constexpr int64_t kMaxEpoch = kMaxCount - 1;  // the next start's number is sent to actors
 
 std::string EpochPath(const std::string& logdir) { return JoinPath(logdir, "epoch"); }
 
@@ -29,10 +31,10 @@ struct EpochFile {
 absl::StatusOr<EpochFile> ParseEpoch(const std::string& path, const std::string& text) {
   const std::vector<std::string> lines = absl::StrSplit(text, '\n');
   EpochFile taken;
-  if (!absl::SimpleAtoi(lines[0], &taken.epoch) || taken.epoch < 1) {
-    return absl::DataLossError(
-        absl::StrCat(path, " begins with \"", Printable(lines[0].substr(0, kMostShown)),
-                     "\", want a number from 1: write the number of starts of this run into it, or a larger one"));
+  if (!absl::SimpleAtoi(lines[0], &taken.epoch) || taken.epoch < 1 || taken.epoch > kMaxEpoch) {
+    return absl::DataLossError(absl::StrCat(path, " begins with \"", Printable(lines[0].substr(0, kMostShown)),
+                                            "\", want 1..", kMaxEpoch,
+                                            ": write the number of starts of this run into it, or a larger one"));
   }
   if (lines.size() > 1 && !lines[1].empty()) taken.by = lines[1];
   return taken;

@@ -13,7 +13,7 @@
 namespace craftfleet {
 
 // Reads the epoch of the latest start; 0: no learner has started yet.
-//   DataLoss: the file does not begin with a number.
+//   DataLoss: the file does not begin with a number in 1..kMaxCount-1.
 absl::StatusOr<int64_t> ReadEpoch(const std::string& logdir);
 
 // Prevents an earlier start from writing where the folder's lock has no effect, as on some shared disks. The file

@@ -33,6 +33,8 @@ struct Histogram {
   std::vector<double> values;  // finite; without values nothing is written
 };
 
+inline constexpr int64_t kVersionRecordBytes = 40;  // with which the file begins
+
 // Thread-compatible: one thread at a time.
 class EventLog {
  public:

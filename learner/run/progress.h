@@ -4,6 +4,7 @@
 #define CRAFTFLEET_LEARNER_RUN_PROGRESS_H_
 
 #include <cstdint>
+#include <functional>
 #include <ostream>
 #include <string>
 
@@ -17,14 +18,14 @@ namespace craftfleet {
 // Formats a duration in seconds: "3d4h", "2h5m", "13m20s", "8s".
 std::string FormatTimeLeft(double seconds);
 
-// Prints "12,288/1,000,000 steps 1.2% | 1234/s, 13m20s left | reward 2.3 len 187 | score 3.12, 9/22 unlocked", at most
-// 100 columns for runs of up to 100 million steps: on a terminal, one line in place; otherwise a line every 10 s, the
-// first after 2 s. With --log_format=json, progress is logged instead. Thread-compatible: one thread at a time.
+// Prints "12,288/1,000,000 steps 1.2% | 1234/s, 13m20s left | reward 2.3 len 187 | score 3.12, 9/22 unlocked": on a
+// terminal, one line in place, without the last parts if they do not fit; otherwise a line every 10 s, the first after
+// 2 s. With --log_format=json, progress is logged instead. Thread-compatible: one thread at a time.
 class ProgressPrinter {
  public:
   struct Options {
-    bool terminal = false;    // `out` is a terminal
-    int64_t start_steps = 0;  // environment steps done before this start
+    std::function<int()> columns;  // the present width of the terminal `out`; null: it is not a terminal
+    int64_t start_steps = 0;       // environment steps done before this start
     int64_t total_steps = 1;
     std::string run_id;  // printed at the start unless empty
   };
@@ -39,7 +40,9 @@ class ProgressPrinter {
 
  private:
   static bool IsLogged();
-  std::string Line(int64_t steps, const ScoreBoard& score) const;
+  bool InPlace() const { return options_.columns != nullptr && !IsLogged(); }
+  // The parts of the line that fit into `columns`.
+  std::string Line(int64_t steps, const ScoreBoard& score, int columns) const;
   void Print(int64_t steps, const ScoreBoard& score);
 
   const Options options_;

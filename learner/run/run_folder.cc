@@ -48,16 +48,40 @@ std::string DescribeRun(const std::string& run_id, uint64_t seed, const ProgramI
 constexpr char kCheckpointFolder[] = "checkpoints";
 
 absl::StatusOr<bool> HasCheckpoint(const std::string& logdir) {
-  const std::string folder = JoinPath(logdir, kCheckpointFolder);
-  if (!PathExists(folder)) return false;
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<std::string> names, CheckpointStore::At(folder).ListNewestFirst());
+  const CheckpointStore store = CheckpointStore::At(JoinPath(logdir, kCheckpointFolder));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<std::string> names, store.ListNewestFirst());
   return !names.empty();
+}
+
+// Bytes of the log; 0: there is none.
+absl::StatusOr<int64_t> LogBytes(const std::string& path) {
+  const absl::StatusOr<int64_t> size = FileSize(path);
+  return absl::IsNotFound(size.status()) ? 0 : size;
+}
+
+// For a `logdir` without checkpoints. The first one precedes the first line of any log.
+//   AlreadyExists: a log has lines, so that the run has lost its checkpoints.
+absl::Status CheckNotBegun(const std::string& logdir) {
+  const auto check = [&logdir](const char* name, int64_t at_most) -> absl::Status {
+    const std::string path = JoinPath(logdir, name);
+    CRAFTFLEET_ASSIGN_OR_RETURN(const int64_t bytes, LogBytes(path));
+    if (bytes <= at_most) return absl::OkStatus();
+    return absl::AlreadyExistsError(absl::StrCat(path, " has ", bytes,
+                                                 " bytes, but the run has no checkpoint: put its ", kCheckpointFolder,
+                                                 " back and resume it with --resume, or use another --logdir"));
+  };
+  for (const char* name : kEpisodeFiles) CRAFTFLEET_RETURN_IF_ERROR(check(name, 0));
+  return check(kEventsFile, kVersionRecordBytes);
 }
 
 // AlreadyExists if `logdir` has a run, unless the run ended before its first checkpoint: nothing is lost then.
 absl::Status CheckNoRun(const std::string& logdir) {
-  CRAFTFLEET_ASSIGN_OR_RETURN(const bool has_run, HasCheckpoint(logdir));
-  if (!has_run) return absl::OkStatus();
+  const absl::StatusOr<bool> has_run = HasCheckpoint(logdir);
+  if (!has_run.ok()) {
+    return absl::AlreadyExistsError(absl::StrCat(logdir, " may have a run: ", has_run.status().message(),
+                                                 "; resume it with --resume, or use another --logdir"));
+  }
+  if (!*has_run) return CheckNotBegun(logdir);
   if (!PathExists(JoinPath(logdir, kConfigFile))) {
     return absl::AlreadyExistsError(
         absl::StrCat(logdir, " already has a run, which lost its ", kConfigFile,
@@ -112,6 +136,7 @@ absl::StatusOr<ResumedRun> RunFolder::Resume(const std::string& logdir, const Re
   RunFolder& folder = *run.folder;
   CRAFTFLEET_ASSIGN_OR_RETURN(const bool has_checkpoint, HasCheckpoint(logdir));
   if (!has_checkpoint) {
+    CRAFTFLEET_RETURN_IF_ERROR(CheckNotBegun(logdir));
     return absl::NotFoundError(absl::StrCat("no checkpoint in ", JoinPath(logdir, kCheckpointFolder), ": the run in ",
                                             logdir, " ended before its first one; start it again without --resume"));
   }
@@ -138,8 +163,8 @@ void RunFolder::TakeChanges(const v1::RunConfig& config) {
 
 absl::Status RunFolder::Begin() {
   CRAFTFLEET_RETURN_IF_ERROR(fence_.Take(logdir_, epoch_));
-  if (!resumed_.has_value()) CRAFTFLEET_RETURN_IF_ERROR(RemoveUnbegunLogs());
   CRAFTFLEET_ASSIGN_OR_RETURN(checkpoints_, CheckpointStore::Open(JoinPath(logdir_, kCheckpointFolder), &fence_));
+  if (!resumed_.has_value()) CRAFTFLEET_RETURN_IF_ERROR(RemoveUnbegunLogs());
   // Checkpoints first, so that the logs of the newest one always exist.
   if (resumed_.has_value()) {
     CRAFTFLEET_RETURN_IF_ERROR(checkpoints_.DiscardNewerThan(resumed_->iteration()));
@@ -252,14 +277,13 @@ absl::Status RunFolder::CountLogs(const v1::CheckpointState& state) {
   names.insert(names.end(), kEpisodeFiles.begin(), kEpisodeFiles.end());
   for (const std::string& name : names) {
     const std::string path = FindFinalLog(logdir_, name, state);
-    const absl::StatusOr<int64_t> size = PathExists(path) ? FileSize(path) : 0;
-    CRAFTFLEET_RETURN_IF_ERROR(size.status());
+    CRAFTFLEET_ASSIGN_OR_RETURN(const int64_t size, LogBytes(path));
     const std::optional<int64_t> length = LengthOf(name, state);
     if (!length.has_value()) {
       return absl::DataLossError(absl::StrCat("the checkpoint has no length for ", path));
     }
-    if (*length > *size) {
-      return absl::DataLossError(absl::StrCat(path, " has ", *size, " bytes, but the checkpoint expects ", *length,
+    if (*length > size) {
+      return absl::DataLossError(absl::StrCat(path, " has ", size, " bytes, but the checkpoint expects ", *length,
                                               ": put back a whole copy of the file, or go back to an older checkpoint "
                                               "with --resume_from"));
     }

@@ -57,14 +57,16 @@ class RunFolder {
   // Prepares a new run in `logdir`, which is created if necessary. `config` is complete (CompleteConfig); `clock`
   // outlives this. `origin`: the origin of its initial weights, for run.json; empty: none. Begin replaces an existing
   // run that ended before its first checkpoint.
-  //   AlreadyExists: the folder has a run.   FailedPrecondition: another process uses it.
+  //   AlreadyExists: the folder has a run, or one that lost its checkpoints; or they cannot be listed.
+  //   FailedPrecondition: another process uses it.
   static absl::StatusOr<std::unique_ptr<RunFolder>> Create(const std::string& logdir, const v1::RunConfig& config,
                                                            const ProgramInfo& program, Clock* clock,
                                                            const std::string& origin = "");
 
   // Prepares to resume from a checkpoint, and counts the logged episodes up to it. Begin removes later checkpoints and
   // truncates the logs.
-  //   NotFound: no run there, or none with a checkpoint.   FailedPrecondition: in use, other textures, other agent.
+  //   NotFound: no run there, or one that ended before its first checkpoint.   AlreadyExists: the run lost its
+  //   checkpoints.   FailedPrecondition: in use, other textures, other agent.
   //   DataLoss: the checkpoint is torn, or a log is shorter than the checkpoint states.
   static absl::StatusOr<ResumedRun> Resume(const std::string& logdir, const ResumeOptions& options,
                                            const ProgramInfo& program, Clock* clock);

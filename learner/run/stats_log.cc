@@ -1,5 +1,6 @@
 #include "learner/run/stats_log.h"
 
+#include <cerrno>
 #include <fstream>
 #include <limits>
 
@@ -12,6 +13,7 @@
 #include "common/base/check.h"
 #include "common/base/crafter.h"
 #include "common/base/status_macros.h"
+#include "common/io/files.h"
 
 namespace craftfleet {
 namespace {
@@ -68,6 +70,7 @@ absl::StatusOr<Episode> ParseStatsLine(absl::string_view line) {
 
 absl::Status VisitStats(const std::string& path, int64_t bytes, absl::FunctionRef<void(const Episode&)> visit) {
   std::ifstream file(path);
+  if (!file.is_open()) return FileError(errno, "cannot open", path);
   int64_t read = 0;
   int64_t lines = 0;
   std::string line;
@@ -81,6 +84,7 @@ absl::Status VisitStats(const std::string& path, int64_t bytes, absl::FunctionRe
     if (!episode.ok()) return absl::DataLossError(absl::StrCat(path, ":", lines, ": ", episode.status().message()));
     visit(*episode);
   }
+  if (file.bad()) return FileError(errno, "cannot read", path);
   if (read == bytes) return absl::OkStatus();
   return absl::DataLossError(absl::StrCat(path, " has ", read, " bytes, but the checkpoint expects ", bytes));
 }

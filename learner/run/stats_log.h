@@ -29,6 +29,7 @@ absl::StatusOr<Episode> ParseStatsLine(absl::string_view line);
 
 // Calls `visit` for each episode in the first `bytes` of a stats.jsonl, 0 or more; the rest is not read.
 //   DataLoss: it has fewer bytes, its last line is incomplete, or as ParseStatsLine; names the line.
+//   Others as FileError (common/io/files.h): it cannot be read.
 absl::Status VisitStats(const std::string& path, int64_t bytes, absl::FunctionRef<void(const Episode&)> visit);
 
 }  // namespace craftfleet

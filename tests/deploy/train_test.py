@@ -3,8 +3,6 @@
 import json
 import re
 import shutil
-import signal
-import subprocess
 
 from tests.fakes import python_case
 
@@ -79,25 +77,32 @@ class Train(python_case.FolderCase):
     whole = self.train("run", "--resume", "--steps=190")
     self.assertIn("the run has 192 steps already, and 190 were requested", whole.stderr)
 
-  def test_a_stopped_run_waits_for_nothing(self):
-    log = self.folder / "train.err"
-    with log.open("wb") as err:
-      train = subprocess.Popen([*python_case.built("craftfleet train"), f"--config={self.folder}/config.txt",
-                                f"--logdir={self.folder}/run", "--steps=1e6"], stdout=subprocess.DEVNULL, stderr=err)
-    self.addCleanup(train.kill)
-    python_case.wait_until(lambda: (self.folder / "run/checkpoints/iter-00000002").exists(), "it trains")
-    train.send_signal(signal.SIGINT)
-    self.assertEqual(train.wait(60), 0, log.read_text())
-    self.assertIn("stopped; continue with --resume", log.read_text())
-    self.assertNotIn("trying again", log.read_text())
-
   def test_autoresume_starts_a_run_again_that_has_no_checkpoint(self):
     self.train("run")
     weights = (self.folder / "run/checkpoints/iter-00000003/weights.safetensors").read_bytes()
     shutil.rmtree(self.folder / "run/checkpoints")  # as if killed before the first checkpoint
+    for log in [*(self.folder / "run").glob("*.jsonl"), *(self.folder / "run").glob("*tfevents*")]:
+      log.write_bytes(b"")
     again = self.train("run", "--autoresume")
     self.assertIn("the run is complete", again.stderr)
     self.assertEqual((self.folder / "run/checkpoints/iter-00000003/weights.safetensors").read_bytes(), weights)
+
+  def test_a_run_whose_checkpoints_are_away_is_not_overwritten(self):
+    self.train("run")
+    checkpoints = self.folder / "run/checkpoints"
+    checkpoints.rename(self.folder / "away")
+    contents = lambda: {path: path.read_bytes() for path in checkpoints.parent.iterdir() if path.is_file() and path.name != "lock"}
+    before = contents()
+    def refused(reason):
+      for flags in ([], ["--autoresume"]):
+        self.assertIn(reason, self.train("run", *flags, code=1).stderr)
+        self.assertEqual(contents(), before)
+    refused("put its checkpoints back")
+    checkpoints.symlink_to("nowhere")
+    refused(f"cannot list {checkpoints}: No such file or directory")
+    checkpoints.unlink()
+    (self.folder / "away").rename(checkpoints)
+    self.train("run", "--autoresume")
 
   def test_the_runs_id_is_shown_everywhere(self):
     train = self.train("run")

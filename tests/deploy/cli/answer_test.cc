@@ -1,5 +1,7 @@
 #include "deploy/cli/answer.h"
 
+#include <unistd.h>
+
 #include <memory>
 #include <set>
 #include <string>
@@ -138,6 +140,11 @@ TEST_F(FolderTest, NeedsNoFinalEvaluationIfNoneIsWanted) {
   checkpoint.state.mutable_config()->mutable_eval()->set_final_episodes(0);
   checkpoint.state.set_env_steps(4000);
   EXPECT_TRUE(IsFinished(&checkpoint));
+}
+
+TEST_F(FolderTest, ARunWhoseCheckpointsAreAwayHasBegun) {
+  ASSERT_EQ(::symlink("nowhere", (folder_ / "checkpoints").c_str()), 0);
+  EXPECT_THAT(Ask()["error"].get<std::string>(), HasSubstr("cannot list " + folder_ / "checkpoints"));
 }
 
 TEST_F(FolderTest, ADamagedCheckpointIsNamed) {

@@ -333,6 +333,18 @@ TEST(FindCheckpoint, AcceptsACheckpointOrARunFolder) {
   EXPECT_EQ(FindCheckpoint(run / "checkpoints/iter-00000010").value(), run / "checkpoints/iter-00000010");
 }
 
+TEST(FindCheckpoint, CheckpointsThatAreAwayAreNotTakenForNone) {
+  const TempFolder run;
+  ASSERT_EQ(::symlink("nowhere", (run / "checkpoints").c_str()), 0);
+  const std::string reason = "cannot list " + run / "checkpoints" + ": ";
+  EXPECT_THAT(FindCheckpoint(run.path()), StatusIs(absl::StatusCode::kUnavailable, HasSubstr(reason)));
+  ASSERT_THAT(RemoveAll(run / "checkpoints"), IsOk());
+  ASSERT_THAT(WriteFileSynced(run / "checkpoints", ""), IsOk());
+  EXPECT_THAT(FindCheckpoint(run.path()).status().message(), HasSubstr(reason + "Not a directory"));
+  EXPECT_THAT(FindCheckpoint(run / "checkpoints"),
+              StatusIs(absl::StatusCode::kNotFound, HasSubstr("no checkpoint at")));
+}
+
 TEST(LoadFound, NamesTheNewestValidCheckpointOfARunWhoseNewestIsTorn) {
   const TempFolder run;
   CheckpointStore store = CheckpointStore::Open(run / "checkpoints").value();

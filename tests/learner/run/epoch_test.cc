@@ -9,6 +9,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "common/base/range_check.h"
 #include "common/io/files.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
@@ -42,6 +43,18 @@ TEST(Epoch, ReadsAFileThatSomebodyRepaired) {
   EpochFence fence;
   EXPECT_THAT(fence.Take(folder.path(), 7), StatusIs(absl::StatusCode::kFailedPrecondition, testing::_));
   EXPECT_THAT(fence.Take(folder.path(), 8), IsOk());
+}
+
+TEST(Epoch, ANumberWithoutOneAfterItIsRefused) {
+  const TempFolder folder;
+  ASSERT_THAT(WriteFileSynced(folder / "epoch", absl::StrCat(kMaxCount - 1)), IsOk());
+  EXPECT_EQ(ReadEpoch(folder.path()).value(), kMaxCount - 1);
+  for (const char* large : {"4503599627370496", "4611686018427387904", "9223372036854775807"}) {
+    ASSERT_THAT(WriteFileSynced(folder / "epoch", large), IsOk());
+    EXPECT_THAT(ReadEpoch(folder.path()),
+                StatusIs(absl::StatusCode::kDataLoss, AllOf(HasSubstr(folder / "epoch"), HasSubstr(large),
+                                                            HasSubstr("want 1..4503599627370495: write"))));
+  }
 }
 
 TEST(EpochFence, OnlyTheLatestStartMayWrite) {

@@ -27,6 +27,7 @@ TEST(EventLog, BeginsWithTheVersionRecord) {
   // The record's length, its masked checksum, wall time (field 1, double), then file version (field 3, 13 bytes).
   const std::string bytes = ReadFile(folder / "events").value();
   EXPECT_EQ(bytes.size(), 8U + 4 + 24 + 4);
+  EXPECT_EQ(bytes.size(), static_cast<size_t>(kVersionRecordBytes));
   EXPECT_EQ(bytes.substr(0, 8), std::string("\x18\0\0\0\0\0\0\0", 8));
   EXPECT_EQ(bytes.substr(12, 1), "\x09");
   EXPECT_EQ(bytes.substr(21, 15),

@@ -1,7 +1,9 @@
 #include "learner/run/progress.h"
 
+#include <functional>
 #include <sstream>
 #include <string>
+#include <utility>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -25,7 +27,11 @@ TEST(FormatTimeLeft, UsesTheUnitsThatFit) {
 
 class ProgressPrinterTest : public testing::Test {
  protected:
-  ProgressPrinter Make(bool terminal) { return ProgressPrinter({terminal, 4000, 10'000, ""}, &out_, &clock_); }
+  // `columns` of a terminal; 0: it is none.
+  ProgressPrinter Make(int columns) {
+    const auto width = [columns] { return columns; };
+    return ProgressPrinter({columns > 0 ? width : std::function<int()>(), 4000, 10'000, ""}, &out_, &clock_);
+  }
 
   // What was printed since the last call.
   std::string Printed() {
@@ -40,7 +46,7 @@ class ProgressPrinterTest : public testing::Test {
 };
 
 TEST_F(ProgressPrinterTest, WithoutATerminalALineEveryTenSecondsTheFirstAfterTwo) {
-  ProgressPrinter printer = Make(false);
+  ProgressPrinter printer = Make(0);
   clock_.Advance(absl::Seconds(1.9));
   printer.Update(4100, score_);
   EXPECT_EQ(Printed(), "");
@@ -58,12 +64,12 @@ TEST_F(ProgressPrinterTest, WithoutATerminalALineEveryTenSecondsTheFirstAfterTwo
 }
 
 TEST_F(ProgressPrinterTest, BeginsWithTheRunsId) {
-  const ProgressPrinter printer({false, 0, 10'000, "20240131-154500-a1b2c3"}, &out_, &clock_);
+  const ProgressPrinter printer({nullptr, 0, 10'000, "20240131-154500-a1b2c3"}, &out_, &clock_);
   EXPECT_EQ(out_.str(), "run 20240131-154500-a1b2c3\n");
 }
 
 TEST_F(ProgressPrinterTest, OnATerminalOneLineInPlace) {
-  ProgressPrinter printer = Make(true);
+  ProgressPrinter printer = Make(120);
   clock_.Advance(absl::Seconds(2));
   printer.Update(4200, score_);
   clock_.Advance(absl::Seconds(0.5));
@@ -81,7 +87,7 @@ TEST_F(ProgressPrinterTest, IsLoggedIfTheLogIsJson) {
   json.format = LogFormat::kJson;
   SetUpLog(json);
   testing::internal::CaptureStderr();
-  ProgressPrinter printer({true, 0, 10'000, "20240131-154500-a1b2c3"}, &out_, &clock_);
+  ProgressPrinter printer({[] { return 20; }, 0, 10'000, "20240131-154500-a1b2c3"}, &out_, &clock_);
   clock_.Advance(absl::Seconds(2));
   printer.Update(4200, score_);
   printer.Finish(10'000, score_);
@@ -93,13 +99,13 @@ TEST_F(ProgressPrinterTest, IsLoggedIfTheLogIsJson) {
 }
 
 TEST_F(ProgressPrinterTest, FinishAlwaysPrints) {
-  ProgressPrinter printer = Make(false);
+  ProgressPrinter printer = Make(0);
   printer.Finish(4000, score_);
   EXPECT_EQ(Printed(), "4,000/10,000 steps 40.0% | -/s, - left | reward - len - | score -, 0/22 unlocked\n");
 }
 
 TEST_F(ProgressPrinterTest, ShowsSpeedAndScoreWithinTheWidthOfATerminal) {
-  ProgressPrinter printer({false, 0, 1'000'000, ""}, &out_, &clock_);
+  ProgressPrinter printer({nullptr, 0, 1'000'000, ""}, &out_, &clock_);
   clock_.Advance(absl::Seconds(10));
   score_.Add(SampleEpisode(100, 3.0));
   printer.Finish(12'288, score_);
@@ -107,6 +113,24 @@ TEST_F(ProgressPrinterTest, ShowsSpeedAndScoreWithinTheWidthOfATerminal) {
             "12,288/1,000,000 steps 1.2% | 1229/s, 13m24s left | reward 3.0 len 100 | score 9.05, 11/22 unlocked\n");
   printer.Finish(1'003'520, score_);
   EXPECT_THAT(Printed(), StartsWith("1,003,520/1,000,000 steps 100.0% | 100352/s, 0s left")) << "beyond the total";
+}
+
+TEST_F(ProgressPrinterTest, ANarrowTerminalGetsTheFirstPartsThatFit) {
+  int columns = 0;
+  ProgressPrinter printer({[&columns] { return columns; }, 0, 100'000'000, ""}, &out_, &clock_);
+  clock_.Advance(absl::Seconds(1000));
+  score_.Add(SampleEpisode(100, 3.0));
+  const std::string steps = "12,288,000/100,000,000 steps 12.3%";
+  const std::string reward = steps + " | 12288/s, 1h58m left | reward 3.0 len 100";
+  const std::string all = reward + " | score 9.05, 11/22 unlocked";
+  ASSERT_EQ(all.size(), 106U);
+  const std::pair<int, std::string> expected[] = {
+      {107, all}, {106, reward + " | score 9.05"}, {80, reward}, {50, steps}, {10, "12,288,00"}, {1, ""}};
+  for (const auto& [width, line] : expected) {
+    columns = width;
+    printer.Finish(12'288'000, score_);
+    EXPECT_EQ(Printed(), "\r" + line + "\033[K\n") << width;
+  }
 }
 
 }  // namespace

@@ -47,15 +47,45 @@ TEST_F(RunFolderTest, ANewRunIsRefusedInAFolderWithARun) {
                                AllOf(HasSubstr(logdir_), HasSubstr("--resume"), HasSubstr("--logdir"))));
 }
 
-TEST_F(RunFolderTest, ARunWithoutACheckpointIsReplaced) {
-  {
-    const auto first = Create();
-    first->AddEpisodes({SampleEpisode(100, 1)});
-    ASSERT_THAT(first->FlushLogs(), IsOk());
-  }
+TEST_F(RunFolderTest, ARunThatEndedBeforeItsFirstCheckpointIsReplaced) {
+  const std::string first = Create()->run_id();
+  ASSERT_THAT(RemoveAll(logdir_ + "/stats.jsonl"), IsOk());  // killed in Begin
   const auto second = Create();
   ASSERT_NE(second, nullptr);
+  EXPECT_NE(second->run_id(), first);
   EXPECT_EQ(ReadFile(logdir_ + "/stats.jsonl").value(), "");
+}
+
+TEST_F(RunFolderTest, ARunThatLostItsCheckpointsIsNotOverwritten) {
+  ASSERT_NO_FATAL_FAILURE(MakeRun());
+  ASSERT_THAT(RenameSynced(logdir_ + "/checkpoints", temp_ / "away"), IsOk());
+  const auto lost = [this](const std::string& reason) {
+    const auto before = Contents();
+    EXPECT_THAT(RunFolder::Create(logdir_, DefaultRunConfig(), program_, &clock_),
+                StatusIs(absl::StatusCode::kAlreadyExists, AllOf(HasSubstr(reason), HasSubstr("another --logdir"))));
+    EXPECT_THAT(Look().status().message(), HasSubstr(reason));
+    EXPECT_TRUE(Contents() == before) << reason;
+  };
+  lost("stats.jsonl has ");
+  ASSERT_THAT(CreateFolders(logdir_ + "/checkpoints"), IsOk());  // where a disk is not mounted
+  lost("put its checkpoints back");
+  ASSERT_THAT(RemoveAll(logdir_ + "/stats.jsonl"), IsOk());
+  lost("events.out.tfevents.craftfleet has ");
+  ASSERT_THAT(RemoveAll(logdir_ + "/checkpoints"), IsOk());
+  ASSERT_EQ(::symlink("nowhere", (logdir_ + "/checkpoints").c_str()), 0);
+  lost("cannot list " + logdir_ + "/checkpoints: No such file or directory");
+}
+
+// A new run whose checkpoints are to be on another disk, which was away only when it began.
+TEST_F(RunFolderTest, ALogIsRemovedOnlyOnceThereIsAPlaceForCheckpoints) {
+  Create();
+  auto folder = RunFolder::Create(logdir_, ResolveRunConfig(DefaultRunConfig()).value(), program_, &clock_);
+  ASSERT_THAT(folder, IsOk());
+  ASSERT_THAT(RemoveAll(logdir_ + "/checkpoints"), IsOk());
+  ASSERT_EQ(::symlink("nowhere", (logdir_ + "/checkpoints").c_str()), 0);
+  EXPECT_THAT((*folder)->Begin(), testing::Not(IsOk()));
+  EXPECT_TRUE(PathExists(logdir_ + "/config.txt"));
+  EXPECT_TRUE(PathExists(logdir_ + "/stats.jsonl"));
 }
 
 TEST_F(RunFolderTest, RecordsTheOriginOfItsWeights) {
@@ -255,10 +285,42 @@ TEST_F(RunFolderTest, ARunOfOtherTexturesOrAnotherAgentIsRefused) {
   EXPECT_EQ(ReadEpoch(logdir_).value(), 1);
 }
 
-TEST_F(RunFolderTest, ALogThatLostBytesIsRefused) {
+TEST_F(RunFolderTest, ALogThatLostLinesIsRefusedExceptForAnOlderCheckpoint) {
   MakeRun();
-  ASSERT_EQ(::truncate((logdir_ + "/stats.jsonl").c_str(), 100), 0);
-  EXPECT_THAT(Resume(), StatusIs(absl::StatusCode::kDataLoss, HasSubstr("stats.jsonl has 100 bytes")));
+  const std::string first = FormatStatsLine(SampleEpisode(100, 1)) + FormatStatsLine(SampleEpisode(10, 0));
+  ASSERT_EQ(::truncate((logdir_ + "/stats.jsonl").c_str(), static_cast<off_t>(first.size())), 0);
+  EXPECT_THAT(
+      Resume(),
+      StatusIs(absl::StatusCode::kDataLoss,
+               AllOf(HasSubstr(absl::StrCat("stats.jsonl has ", first.size(), " bytes, but the checkpoint expects")),
+                     HasSubstr("go back to an older checkpoint with --resume_from"))));
+  EXPECT_THAT(Resume({"iter-00000001", ""}), IsOk());
+}
+
+TEST_F(RunFolderTest, ACheckpointAfterALogWasCutCanBeResumedFrom) {
+  {
+    const auto folder = Create();
+    ASSERT_THAT(folder->WriteCheckpoint(SampleCheckpoint(1)), IsOk());
+    folder->AddEpisodes({SampleEpisode(100, 1)});
+    folder->AddEvaluation(false, {SampleEpisode(1, 1)}, {});
+    ASSERT_THAT(folder->FlushLogs(), IsOk());
+    for (const char* log : {"/stats.jsonl", "/eval_argmax.jsonl"}) {
+      ASSERT_EQ(::truncate((logdir_ + log).c_str(), 0), 0);
+    }
+    folder->AddEpisodes({SampleEpisode(200, 2)});  // and nothing to the other log
+    testing::internal::CaptureStderr();
+    ASSERT_THAT(folder->WriteCheckpoint(SampleCheckpoint(2)), IsOk());
+    const auto told = [](const std::string& log, const std::string& lines) {
+      return HasSubstr(absl::StrCat(log, " has 0 bytes, want the ", lines.size(), " that were written"));
+    };
+    EXPECT_THAT(testing::internal::GetCapturedStderr(),
+                AllOf(told("error: " + logdir_ + "/stats.jsonl", FormatStatsLine(SampleEpisode(100, 1))),
+                      told("error: " + logdir_ + "/eval_argmax.jsonl", FormatStatsLine(SampleEpisode(1, 1)))));
+  }
+  const auto run = Resume();
+  ASSERT_THAT(run, IsOk());
+  EXPECT_EQ(run->checkpoint.state.iteration(), 2);
+  EXPECT_EQ(ReadFile(logdir_ + "/stats.jsonl").value(), FormatStatsLine(SampleEpisode(200, 2)));
 }
 
 // Every log ends complete, whichever of them had space at first.
@@ -281,6 +343,7 @@ TEST_F(RunFolderTest, AfterAFullDiskLogsAreWrittenInOrder) {
     ASSERT_THAT(untroubled->FlushLogs(), IsOk());
   }
   const std::vector<std::string> wanted = read();
+  ASSERT_THAT(RemoveAll(logdir_), IsOk());
 
   const auto folder = Create();
   add(folder.get(), 1);

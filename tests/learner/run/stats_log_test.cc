@@ -122,6 +122,15 @@ TEST(ReadStats, ErrorsNameTheLine) {
   EXPECT_THAT(ReadStatsText("\n"), StatusIs(kDataLoss, HasSubstr(":1: not a JSON object")));
 }
 
+TEST(ReadStats, AFileThatCannotBeReadIsNotTakenForAnEmptyOne) {
+  const TempFolder folder;
+  const auto error = [](const std::string& path) {
+    return std::string(VisitStats(path, 1, [](const Episode& /*episode*/) {}).message());
+  };
+  EXPECT_EQ(error(folder.path()), "cannot read " + folder.path() + ": Is a directory");
+  EXPECT_EQ(error(folder / "none"), "cannot open " + folder / "none" + ": No such file or directory");
+}
+
 TEST(StatsLog, ReadsOnlyTheGivenLength) {
   const TempFolder folder;
   const std::string first = FormatStatsLine(SampleEpisode(1, 1));
