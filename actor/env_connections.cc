@@ -17,7 +17,6 @@ namespace {
 constexpr absl::Duration kConnectTimeout = absl::Seconds(3);
 constexpr absl::Duration kMoment = absl::Milliseconds(200);   // wait for other servers once one is connected
 constexpr absl::Duration kLookEvery = absl::Milliseconds(5);  // while no server is connected
-constexpr int64_t kKeptFiles = 128;  // file descriptors for everything else; gRPC fails badly without any
 constexpr int64_t kFilesOfServer = 2;
 
 }  // namespace

@@ -24,7 +24,6 @@ constexpr absl::Duration kWantedNow = absl::Seconds(3);
 constexpr absl::Duration kConnectPatience = absl::Milliseconds(500);  // probes only begin when there is a connection
 constexpr absl::Duration kBetweenProbes = absl::Milliseconds(500);    // of one server, however often it reconnects
 constexpr absl::Duration kForgetAfter = absl::Minutes(10);
-constexpr int64_t kKeptFiles = 128;
 constexpr absl::Duration kBetweenSteps = absl::Milliseconds(20);  // of a probe
 constexpr absl::Duration kBeat = absl::Milliseconds(50);          // between two runs of thread_,
 constexpr absl::Duration kLate = absl::Milliseconds(250);         // or more: the process was stopped

@@ -9,7 +9,8 @@
 #   --envservers=M   default 1
 #   --bin=DIR        folder of the programs; default: those of this checkout, installation or wheel, or else the folder in PATH
 #   --logdir=DIR     folder of the run; the workers' logs are appended to DIR/fleet/NAME.log
-#   LEARNER FLAG     any flag of craftfleet-learner (see its --help); --textures goes to the environment servers too
+#   LEARNER FLAG     any flag of craftfleet-learner (see its --help); --textures goes to the environment servers too,
+#                    --tls_cert, --tls_key, --tls_ca, --tls_server_name and --token_file to all workers
 # The exit code is the learner's, or 1 if no actor or no environment server is left.
 
 set -euo pipefail
@@ -28,6 +29,7 @@ envservers=1
 logdir=
 learner_flags=()
 envserver_flags=()
+channel_flags=()
 for argument in "$@"; do
   case "$argument" in
     --*=\~ | --*=\~/*) argument=${argument%%=*}=$HOME${argument#*=\~} ;;  # the shell expands ~ at the start of a word only
@@ -45,6 +47,7 @@ for argument in "$@"; do
       case "$argument" in
         --logdir=*) logdir=${argument#*=} ;;
         --textures=*) envserver_flags+=("$argument") ;;
+        --tls_cert=* | --tls_key=* | --tls_ca=* | --tls_server_name=* | --token_file=*) channel_flags+=("$argument") ;;
       esac
       ;;
     *) refuse "'$argument' is not a flag of the form --NAME=VALUE; see --help" ;;
@@ -134,15 +137,15 @@ done
 
 servers=
 for ((i = 1; i <= envservers; i++)); do
-  start_worker "envserver-$i" "$bin/craftfleet-envserver" --listen="unix:$sockets/envserver-$i" "${envserver_flags[@]}"
+  start_worker "envserver-$i" "$bin/craftfleet-envserver" --listen="unix:$sockets/envserver-$i" "${envserver_flags[@]}" "${channel_flags[@]}"
   servers+=,unix:$sockets/envserver-$i
 done
 threads=$((cores / actors))
 for ((i = 1; i <= actors; i++)); do
   start_worker "actor-$i" "$bin/craftfleet-actor" --listen="unix:$sockets/actor-$i" --learner="unix:$sockets/learner" \
-    --envservers="${servers#,}" --threads="$((threads > 0 ? threads : 1))"
+    --envservers="${servers#,}" --threads="$((threads > 0 ? threads : 1))" "${channel_flags[@]}"
 done
-say "learners: $learners, actors: $actors, environment servers: $envservers; watch: craftfleet status --address=$(printf %q "unix:$sockets/learner")"
+say "learners: $learners, actors: $actors, environment servers: $envservers; watch: craftfleet status$(printf ' %q' --address="unix:$sockets/learner" "${channel_flags[@]}")"
 
 # Argument: a kind of worker, such as actor. True while one of them runs.
 any_left() {
@@ -166,10 +169,16 @@ while true; do
   fi
   name=${names[$ended]}
   unset "names[$ended]"
-  # At the end of the run actors exit on their own, some before the learner.
   [ "$status" -eq 0 ] || say "$name ended with exit code $status: $(tail -n 1 "$logdir/fleet/$name.log")"
-  if [ "$status" -ne 0 ] && { ! any_left actor || ! any_left envserver; }; then
-    say "no actor or no environment server is left: see $logdir/fleet"
-    exit 1
-  fi
+  if any_left actor && any_left envserver; then continue; fi
+  case $name:$status in
+    patience:*) [ -z "$stopping" ] || continue ;;
+    *:0)  # at the end of the run actors exit on their own, some before the learner
+      sleep 15 &
+      names[$!]=patience
+      continue
+      ;;
+  esac
+  say "no actor or no environment server is left: see $logdir/fleet"
+  exit 1
 done

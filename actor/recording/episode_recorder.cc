@@ -55,14 +55,11 @@ absl::Status EpisodeRecorder::OnStep(int64_t number, const ObservedStep& step, c
   if (recording.table.has_value()) recording.table->Add(step, moment);
   CRAFTFLEET_RETURN_IF_ERROR(AddPicture(number, moment, &recording));
   if (step.end == StepEnd::kNone) return absl::OkStatus();
-  CRAFTFLEET_RETURN_IF_ERROR(Finish(number, &recording));
-  recordings_.erase(number);
-  return absl::OkStatus();
+  return Finish(number);
 }
 
 absl::Status EpisodeRecorder::FinishAll() {
-  for (auto& [number, recording] : recordings_) CRAFTFLEET_RETURN_IF_ERROR(Finish(number, &recording));
-  recordings_.clear();
+  while (!recordings_.empty()) CRAFTFLEET_RETURN_IF_ERROR(Finish(recordings_.begin()->first));
   return absl::OkStatus();
 }
 
@@ -86,14 +83,16 @@ absl::Status EpisodeRecorder::AddPicture(int64_t number, const Moment& moment, R
   return recording->video == nullptr ? absl::OkStatus() : recording->video->Append(picture);
 }
 
-absl::Status EpisodeRecorder::Finish(int64_t number, Recording* recording) {
-  const std::string stem = Stem(number, *recording);
-  if (recording->table.has_value()) {
+absl::Status EpisodeRecorder::Finish(int64_t number) {
+  const Recording recording = std::move(recordings_.at(number));
+  recordings_.erase(number);  // first: an error must not make FinishAll write it again
+  const std::string stem = Stem(number, recording);
+  if (recording.table.has_value()) {
     const std::string path = JoinPath(options_.npz_folder, absl::StrCat(stem, ".npz"));
-    CRAFTFLEET_RETURN_IF_ERROR(WriteNpz(path, recording->table->Arrays()));
+    CRAFTFLEET_RETURN_IF_ERROR(WriteNpz(path, recording.table->Arrays()));
   }
-  if (recording->video == nullptr) return absl::OkStatus();
-  return recording->video->Finish(JoinPath(options_.video_folder, absl::StrCat(stem, ".mp4")));
+  if (recording.video == nullptr) return absl::OkStatus();
+  return recording.video->Finish(JoinPath(options_.video_folder, absl::StrCat(stem, ".mp4")));
 }
 
 std::string EpisodeRecorder::Stem(int64_t number, const Recording& recording) const {

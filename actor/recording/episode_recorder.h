@@ -75,7 +75,8 @@ class EpisodeRecorder : public EpisodeObserver {
   absl::StatusOr<std::string> Show(const Moment& moment) const;
   // Adds the picture of episode `number` at `recording.steps` steps after its reset.
   absl::Status AddPicture(int64_t number, const Moment& moment, Recording* recording);
-  absl::Status Finish(int64_t number, Recording* recording);
+  // Ends the recording of episode `number`, which is gone also after an error.
+  absl::Status Finish(int64_t number);
   // Chooses the name of the episode's files, without extension, so that neither file exists yet.
   std::string Stem(int64_t number, const Recording& recording) const;
 

@@ -1,6 +1,8 @@
 #include "actor/recording/video_file.h"
 
 #include <array>
+#include <filesystem>
+#include <system_error>
 #include <utility>
 
 #include <absl/strings/str_cat.h>
@@ -29,6 +31,14 @@ int64_t CountPictures(const std::string& path) {
   }
 }
 
+// Checked before the pictures are made, because the finished video is renamed to `path`.
+absl::Status CheckTarget(const std::string& path) {
+  std::error_code error;
+  const std::filesystem::file_status target = std::filesystem::status(path, error);
+  if (!std::filesystem::exists(target) || std::filesystem::is_regular_file(target)) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrCat(path, " is a folder or a device, want a file"));
+}
+
 }  // namespace
 
 struct VideoFile::Writer {
@@ -46,6 +56,7 @@ VideoFile::~VideoFile() {
 
 absl::StatusOr<std::unique_ptr<VideoFile>> VideoFile::Create(const std::string& path, int width, int height) {
   CRAFTFLEET_CHECK(width > 0 && height > 0 && width % 2 == 0 && height % 2 == 0);
+  CRAFTFLEET_RETURN_IF_ERROR(CheckTarget(path));
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::string unfinished, CreateBeside(path, ".mp4"));
   std::unique_ptr<VideoFile> video(new VideoFile(unfinished, width, height));
   // Tried first, because OpenCV does not report why it can't write a file.
@@ -81,8 +92,9 @@ absl::Status VideoFile::Finish(const std::string& path) {
     return absl::DataLossError(absl::StrCat("cannot write ", path, ": it has ", written, " of ", pictures_,
                                             " pictures: free space on that disk"));
   }
-  writer_ = nullptr;
-  return RenameSynced(path_, path);
+  CRAFTFLEET_RETURN_IF_ERROR(RenameSynced(path_, path));
+  writer_ = nullptr;  // nothing to remove
+  return absl::OkStatus();
 }
 
 }  // namespace craftfleet

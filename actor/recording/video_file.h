@@ -20,7 +20,9 @@ class VideoFile {
 
   // Begins an mp4 file in the folder of `path`, under a new name, in H.264 if OpenCV can write it, else in MPEG-4.
   // Width and height are even, pixels.
-  //   Codes of common/io/files.h; FailedPrecondition: OpenCV can write neither, or the build has no video support.
+  //   InvalidArgument: `path` is a folder or a device.
+  //   FailedPrecondition: OpenCV can write neither, or the build has no video support.
+  //   Others: codes of common/io/files.h.
   static absl::StatusOr<std::unique_ptr<VideoFile>> Create(const std::string& path, int width, int height);
   ~VideoFile();
   VideoFile(const VideoFile&) = delete;
@@ -29,8 +31,8 @@ class VideoFile {
   // `picture` is uint8[height,width,3], RGB.   Internal: OpenCV failed.
   absl::Status Append(absl::string_view picture);
 
-  // Ends the video and moves it to `path`.   DataLoss: pictures are missing, since the disk is full; `path` is as
-  // before.
+  // Ends the video and moves it to `path`. Called again after an error, it fails again.
+  //   DataLoss: pictures are missing, since the disk is full; `path` is as before.   Others: as RenameSynced.
   absl::Status Finish(const std::string& path);
 
  private:

@@ -12,7 +12,6 @@
 #include <absl/strings/str_format.h>
 #include <absl/strings/str_replace.h>
 #include <absl/strings/strip.h>
-#include <absl/time/time.h>
 #include <nlohmann/json.hpp>
 
 #include "common/base/check.h"
@@ -57,12 +56,12 @@ FlagGroups GroupFlags(const ProgramHelp& program) {
 const char* TypeOf(const absl::CommandLineFlag& flag) {
   if (flag.IsOfType<bool>()) return "bool";
   if (flag.IsOfType<int32_t>() || flag.IsOfType<int64_t>() || flag.IsOfType<uint64_t>() || flag.IsOfType<Count>() ||
-      flag.IsOfType<std::optional<int32_t>>() || flag.IsOfType<std::optional<int64_t>>() ||
-      flag.IsOfType<std::optional<uint64_t>>() || flag.IsOfType<std::optional<Count>>()) {
+      flag.IsOfType<std::optional<int32_t>>() || flag.IsOfType<std::optional<uint64_t>>() ||
+      flag.IsOfType<std::optional<Count>>()) {
     return "integer";
   }
   if (flag.IsOfType<double>()) return "number";
-  if (flag.IsOfType<absl::Duration>() || flag.IsOfType<TimeSpan>()) return "duration";
+  if (flag.IsOfType<TimeSpan>()) return "duration";
   return flag.IsOfType<std::vector<std::string>>() ? "list" : "string";
 }
 

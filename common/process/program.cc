@@ -206,25 +206,34 @@ bool IsOneOf(const absl::CommandLineFlag& flag) {
 
 // The values that `flag` accepts instead of `value`.
 absl::string_view Accepted(const absl::CommandLineFlag& flag, absl::string_view value) {
-  const bool is_integer = IsOneOf<int32_t, int64_t, uint64_t, Count, std::optional<int32_t>, std::optional<int64_t>,
-                                  std::optional<uint64_t>, std::optional<Count>>(flag);
+  const bool is_integer =
+      IsOneOf<int32_t, int64_t, uint64_t, Count, std::optional<int32_t>, std::optional<uint64_t>, std::optional<Count>>(
+          flag);
   const bool is_whole = !value.empty() && std::all_of(value.begin(), value.end(), absl::ascii_isdigit);
   if (is_integer && is_whole) return "a smaller number";
   if (flag.IsOfType<bool>()) return "true or false";
-  if (IsOneOf<int32_t, int64_t, std::optional<int32_t>, std::optional<int64_t>>(flag)) return "a whole number";
+  if (IsOneOf<int32_t, int64_t, std::optional<int32_t>>(flag)) return "a whole number";
   if (IsOneOf<uint64_t, std::optional<uint64_t>>(flag)) return "a whole number, at least 0";
   if (IsOneOf<Count, std::optional<Count>>(flag)) return Count::kWanted;
   if (flag.IsOfType<TimeSpan>()) return TimeSpan::kWanted;
   if (flag.IsOfType<LogLevel>()) return kLogLevels;
   if (flag.IsOfType<LogFormat>()) return kLogFormats;
+  if (flag.IsOfType<std::optional<std::string>>()) return "a value, or omit the flag";
   return flag.IsOfType<double>() ? "a number" : "another value";
 }
 
-// Refuses a value that absl would refuse without naming the program and the accepted values.
+// Whether absl takes an empty value of `flag` as if the flag were not given.
+bool IsOptional(const absl::CommandLineFlag& flag) {
+  return IsOneOf<std::optional<int32_t>, std::optional<uint64_t>, std::optional<Count>, std::optional<std::string>>(
+      flag);
+}
+
+// Refuses a value that absl would refuse without naming the program and the accepted values, and an empty one, as of
+// --seed=$SEED without that variable, that would silently stand for the default.
 void CheckValue(const ProgramHelp& program, absl::CommandLineFlag* flag, absl::string_view value) {
   if (IsOfAbseil(*flag)) return;  // those act when they are set
   std::string error;
-  if (flag->ParseFrom(value, &error)) return;
+  if (!(value.empty() && IsOptional(*flag)) && flag->ParseFrom(value, &error)) return;
   Refuse(program, absl::StrCat("--", flag->Name(), "=", value, ", want ", Accepted(*flag, value)), "");
 }
 

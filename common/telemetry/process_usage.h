@@ -17,6 +17,7 @@ ProcessUsage ReadProcessUsage();
 
 // The number of files that the process can still open (ulimit -n). Thread-safe.
 int64_t FilesLeft();
+inline constexpr int64_t kKeptFiles = 128;  // of these, for all but connections; gRPC fails badly without any
 
 // The process's resident memory; 0 if the system does not report it. Thread-safe.
 int64_t ResidentMemoryBytes();

@@ -27,7 +27,7 @@ constexpr char kProgram[] = "craftfleet policy";
 constexpr char kUsage[] =
     R"(craftfleet policy chooses actions for the observations on its standard input. The Python package runs it.
 
-First it prints a line of JSON: agent, env_steps (of training), frame_size (pixels) and has_memory (whether rewards matter).
+First it prints a line of JSON: agent, env, env_steps (of training), frame_size (pixels) and has_memory (whether rewards matter).
 A request is, in little-endian: uint32 n, the number of games, the same in all requests; uint8[n], 1 where an episode begins;
 float32[n], the rewards of the steps that led here; uint8[n,H,W,3], the observations. The answer is uint8[n], the actions. Game i
 (from 0) plays the episodes i+1, n+i+1, ...; their actions are those of craftfleet eval with the same seed. It ends with its input.
@@ -134,6 +134,7 @@ absl::Status Run() {
   CRAFTFLEET_ASSIGN_OR_RETURN(CheckpointPolicy agent, LoadPolicy(absl::GetFlag(FLAGS_checkpoint)));
   const int64_t frame_bytes = agent.spec.frame_bytes();
   const nlohmann::ordered_json description = {{"agent", agent.spec.name},
+                                              {"env", agent.state.config().env().name()},
                                               {"env_steps", agent.state.env_steps()},
                                               {"frame_size", agent.spec.frame_size},
                                               {"has_memory", agent.policy->has_memory()}};

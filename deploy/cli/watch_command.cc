@@ -22,6 +22,7 @@
 #include "common/base/clock.h"
 #include "common/base/numbers.h"
 #include "common/base/status_macros.h"
+#include "common/base/status_prefix.h"
 #include "common/config/known_canary.h"
 #include "common/io/output_file.h"
 #include "common/io/png_encoder.h"
@@ -144,6 +145,25 @@ absl::StatusOr<cv::Mat> DrawPicture(const std::string& title, const std::optiona
   return rgb;
 }
 
+// Counts the steps of an episode in place, on standard error if that is a terminal. The destructor clears the line.
+class StepLine {
+ public:
+  StepLine() = default;
+  ~StepLine() {
+    if (terminal_) std::cerr << kClearLine << std::flush;
+  }
+  StepLine(const StepLine&) = delete;
+  StepLine& operator=(const StepLine&) = delete;
+
+  void Show(int64_t steps) const {
+    if (terminal_) std::cerr << kClearLine << steps << " steps" << std::flush;
+  }
+
+ private:
+  static constexpr char kClearLine[] = "\r\033[K";
+  const bool terminal_ = isatty(STDERR_FILENO) == 1;
+};
+
 // Plays an episode to its end, or until `stop`.
 absl::Status WriteVideo(const CheckpointPolicy& agent, const AgentGame::Options& game_options,
                         const std::optional<AttentionChoice>& attention, const std::atomic<bool>& stop) {
@@ -151,20 +171,20 @@ absl::Status WriteVideo(const CheckpointPolicy& agent, const AgentGame::Options&
                               AgentGame::Create(game_options, agent.policy, absl::GetFlag(FLAGS_episode)));
   const std::string path = absl::GetFlag(FLAGS_video);
   const std::string title = TitleOf(agent);
-  const char* const clear_line = isatty(STDERR_FILENO) == 1 ? "\r\033[K" : nullptr;
+  std::optional<StepLine> line(std::in_place);
   std::unique_ptr<VideoFile> video;
   while (true) {
     CRAFTFLEET_ASSIGN_OR_RETURN(const cv::Mat picture, DrawPicture(title, attention, game.get()));
     if (video == nullptr) {
-      CRAFTFLEET_ASSIGN_OR_RETURN(video, VideoFile::Create(path, picture.cols, picture.rows));
+      CRAFTFLEET_ASSIGN_OR_RETURN(video, WithPrefix("--video", VideoFile::Create(path, picture.cols, picture.rows)));
     }
     CRAFTFLEET_RETURN_IF_ERROR(
         video->Append({reinterpret_cast<const char*>(picture.data), picture.total() * picture.elemSize()}));
     if (stop || game->ended()) break;
     CRAFTFLEET_RETURN_IF_ERROR(game->Step());
-    if (clear_line != nullptr) std::cerr << clear_line << game->world().step() << " steps" << std::flush;
+    line->Show(game->world().step());
   }
-  if (clear_line != nullptr) std::cerr << clear_line;
+  line.reset();
   CRAFTFLEET_RETURN_IF_ERROR(video->Finish(path));
   absl::PrintF("%s: %s, episode %d, %d steps, reward %.1f\n", path, title, game->world().episode(),
                game->world().step(), game->world().episode_reward());
@@ -178,12 +198,15 @@ absl::Status WriteStrip(const CheckpointPolicy& agent, const AgentGame::Options&
   CRAFTFLEET_ASSIGN_OR_RETURN(OutputFile file, OutputFile::Open("--strip", path));
   CRAFTFLEET_ASSIGN_OR_RETURN(const auto game, AgentGame::Create(game_options, agent.policy, episode));
   CRAFTFLEET_RETURN_IF_ERROR(game->Attention().status());
+  std::optional<StepLine> line(std::in_place);
+  const StepListener show = [&line](int64_t step) { line->Show(step); };
   if (steps.empty()) {
-    CRAFTFLEET_ASSIGN_OR_RETURN(const EpisodeOutline outline, PlayOutline(stop, game.get()));
+    CRAFTFLEET_ASSIGN_OR_RETURN(const EpisodeOutline outline, PlayOutline(stop, show, game.get()));
     steps = ChooseSteps(outline.unlocks, outline.length, absl::GetFlag(FLAGS_strip_columns));
     CRAFTFLEET_RETURN_IF_ERROR(game->Start(agent.policy, episode));
   }
-  CRAFTFLEET_ASSIGN_OR_RETURN(const auto columns, TakeColumns(steps, attention, stop, game.get()));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const auto columns, TakeColumns(steps, attention, stop, show, game.get()));
+  line.reset();
   if (columns.empty()) {
     return absl::InvalidArgumentError(absl::StrCat("--strip_steps=", absl::GetFlag(FLAGS_strip_steps),
                                                    ": the episode has ", game->world().step(), " steps"));

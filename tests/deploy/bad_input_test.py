@@ -16,6 +16,9 @@ REFUSED = {
         ("--logdir=@/run --lanes=abc", "craftfleet train: --lanes=abc, want a whole number; see"),
         ("--logdir=@/run --lanes abc", "craftfleet train: --lanes=abc, want a whole number; see"),
         ("--logdir=@/run --seed=-1", "--seed=-1, want a whole number, at least 0;"),
+        ("--logdir=@/run --seed=", "--seed=, want a whole number, at least 0;"),
+        ("--logdir=@/run --steps=", "--steps=, want a whole number, such as"),
+        ("--logdir=@/run --agent=", "--agent=, want a value, or omit the flag;"),
         ("--logdir=@/run --resume=maybe", "--resume=maybe, want true or false;"),
         ("--logdir", "craftfleet train: --logdir needs a value: --logdir=VALUE;"),
         ("--logdir=@/run --lanes=7", "ppo.rollout_steps", "lanes (7)"),
@@ -29,6 +32,7 @@ REFUSED = {
         ("--logdir=@/run --max_staleness=1 --overlap=1", "overlap and max_staleness are both given"),
         ("--logdir=@/run --resume_from=x", "--resume_from requires --resume"),
         ("--logdir=@/run --textures=@/none", "/none", "No such file"),
+        ("--logdir=@/run --listen=http://a:1", '--listen: "http://a:1" is not an address, want ', "without http://"),
     ],
     "craftfleet status": [
         ("--interval=5sec", "--interval=5sec, want a length of time", "a number without a unit is in seconds"),
@@ -45,6 +49,7 @@ REFUSED = {
         ("--world_size=2 --rank=1 --master_port=0", "--master_port=0, want 1..65535"),
         ("--world_size=2 --rank=1 --rank_timeout=0", "--rank_timeout=0, want 1s..24h"),
         ("--world_size=2 --rank=1 --device=cuda", "--device=cuda", "CPUs"),
+        ("--logdir=@/run --listen=http://a:1", '--listen: "http://a:1" is not an address, want ', "without http://"),
     ],
     "craftfleet-envserver": [
         ("--textures=@/none", "/none", "No such file"),
@@ -54,6 +59,7 @@ REFUSED = {
         ("--max_games=99999999999", "--max_games=99999999999, want a smaller number;"),
         ("--listen=0.0.0.0:0 --insecure --learner=127.0.0.1:1", "--listen=0.0.0.0:0 is every address", "--advertise=HOST:PORT"),
         ("--advertise=[::]:1 --learner=127.0.0.1:1", "--advertise=[::]:1 is every address of this host"),
+        ("--metrics_listen=http://a:1", '--metrics_listen: "http://a:1" is not an address, want ', "without http://"),
     ],
     "craftfleet-actor": [
         ("--learner=here", '--learner: "here" is not an address'),
@@ -100,9 +106,11 @@ REFUSED = {
     "craftfleet admin": [
         ("", "name a command: checkpoint, pause, resume, drain NAME"),
         ("drian a", '"drian" is not a command (did you mean "drain"?)'),
+        ("pause --address=http://a:1", '--address: "http://a:1" is not an address, want ', "without http://"),
     ],
     "craftfleet top": [
         ("--address=127.0.0.1:1", "127.0.0.1:1: cannot connect: nothing listens there"),
+        ("--address=http://a:1", '--address: "http://a:1" is not an address, want ', "without http://"),
     ],
 }
 IN_PYTHON = ["craftfleet curve", "craftfleet top"]
@@ -117,9 +125,6 @@ class BadInput(python_case.FolderCase):
     self.config = self.folder / "config.txt"
     self.config.write_text(python_case.SMALL_RUN)
 
-  def train(self, code=0):
-    return self.run_program("craftfleet train", f"--config={self.config}", f"--logdir={self.folder}/run", "--threads=1", code=code)
-
   def test_a_wrong_command_line_is_refused_with_one_line_that_names_the_error(self):
     for program, rows in REFUSED.items():
       for arguments, *errors in rows:
@@ -131,11 +136,18 @@ class BadInput(python_case.FolderCase):
           self.assertEqual(ended.stdout, "")
           self.assertFalse((self.folder / "run").exists(), "no run was started")
 
+  def test_a_url_is_refused_also_by_what_has_begun_to_listen(self):
+    for program, flag in (("craftfleet-envserver", "learner"), ("craftfleet train", "http_listen")):
+      more = [f"--logdir={self.folder}/run"] if program == "craftfleet train" else ["--listen=127.0.0.1:0"]
+      refused = self.run_program(program, f"--{flag}=http://a:1", *more, code=1)
+      self.assertIn(f'--{flag}: "http://a:1" is not an address, want HOST:PORT or unix:PATH, without http://', refused.stderr)
+    self.assertFalse((self.folder / "run/config.txt").exists())
+
   def test_errors_in_a_configuration_file_have_file_line_and_field(self):
     for text, errors in (("lanes: 4\nppo {\n  rollout_stps: 64\n}\n", (":3:", '"rollout_stps"', "known fields of PpoConfig: rollout_steps, ")),
                          ("lanes: 4\nsteps: many\n", (":2:", "steps: "))):
       self.config.write_text(text)
-      refused = self.train(code=1)
+      refused = self.run_program("craftfleet train", f"--config={self.config}", f"--logdir={self.folder}/run", code=1)
       self.assertIn(f"{self.config}{errors[0]}", refused.stderr)
       for error in errors[1:]:
         self.assertIn(error, refused.stderr)
@@ -148,11 +160,6 @@ class BadInput(python_case.FolderCase):
       write()
       refused = self.run_program("craftfleet-envserver", f"--textures={textures}", code=1)
       self.assertIn(f"{textures}/stone.png", refused.stderr)
-
-  def test_eval_refuses_an_invalid_environment(self):
-    self.train()
-    refused = self.run_program("craftfleet eval", f"--checkpoint={self.folder}/run", "--env=crafter:bogus", code=1)
-    self.assertIn('unknown option "bogus", want one of', refused.stderr)
 
   def test_a_command_without_its_program_is_not_called_unknown(self):
     alone = self.folder / "craftfleet"  # its programs were not copied with it

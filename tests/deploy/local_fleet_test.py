@@ -103,6 +103,26 @@ class LocalFleet(python_case.FolderCase):
     self.assertIn("no actor or no environment server is left", errors)
     self.expect_nothing_left()
 
+  def test_a_fleet_without_actors_ends_also_if_they_left_on_their_own(self):
+    process = self.start(actors=1, steps=1000000)
+    self.wait_for_checkpoint(1)
+    actor, = self.processes("actor")
+    os.kill(actor, signal.SIGTERM)
+    code, errors = self.finish(process)
+    self.assertEqual(code, 1, errors)
+    self.assertIn("no actor or no environment server is left", errors)
+    self.assertNotIn("ended with exit code", errors)
+    self.expect_nothing_left()
+
+  def test_flags_of_tls_reach_every_process(self):
+    certs = self.folder / "certs"
+    subprocess.run([SOURCE / "deploy/make-certs.sh", certs, "fleet"], check=True, capture_output=True)
+    code, errors = self.finish(self.start(f"--tls_cert={certs}/fleet.pem", f"--tls_key={certs}/fleet.key", f"--tls_ca={certs}/ca.pem",
+                                          "--tls_server_name=fleet", actors=1, envservers=1))
+    self.assertEqual(code, 0, errors)
+    self.assertIn("the run is complete", errors)
+    self.expect_nothing_left()
+
   def test_bad_flags_are_refused_by_name(self):
     for flag, message in (("--actors=0", "--actors=0, want 1..999"), ("--listen=0.0.0.0:1", "its own Unix sockets"),
                           ("--learners=0", "--learners=0, want 1..999"), ("--rank=1", "give --learners=L"),

@@ -10,11 +10,10 @@ import unittest
 import urllib.request
 
 from tests.fakes import python_case
-from tests.fakes.python_case import SOURCE, built, wait_until
+from tests.fakes.python_case import ENDLESS, SOURCE, built, wait_until
 from tests.fakes.screens import Tmux
 
 MONITORING = SOURCE / "deploy/monitoring"
-ENDLESS = python_case.SMALL_RUN.replace("steps: 192 ", "steps: 1000000000 ")
 
 
 def promtool(*arguments, text=""):

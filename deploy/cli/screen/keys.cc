@@ -3,6 +3,7 @@
 #include <utility>
 
 #include <absl/strings/ascii.h>
+#include <absl/strings/string_view.h>
 
 namespace craftfleet {
 namespace {
@@ -12,12 +13,15 @@ constexpr char kEscape = '\x1b';
 // The key of a complete escape sequence that ends with `last`, such as "\x1b[A".
 Key ArrowKey(char last) { return last >= 'A' && last <= 'D' ? kUpKey + (last - 'A') : kNoKey; }
 
-// The end of the escape sequence at the beginning of `bytes`, which are "\x1b[" or "\x1bO" and more: parameters and one
-// final letter.
-size_t EndOfSequence(absl::string_view bytes) {
+// The size of the character or escape sequence at the beginning of `bytes`. A sequence is "\x1b[" or "\x1bO",
+// parameters and one final letter; 0: it may continue.
+size_t SizeOfFirst(absl::string_view bytes) {
+  if (bytes[0] != kEscape) return 1;
+  if (bytes.size() == 1) return 0;
+  if (bytes[1] != '[' && bytes[1] != 'O') return 1;
   size_t end = 2;
   while (end < bytes.size() && (absl::ascii_isdigit(bytes[end]) || bytes[end] == ';')) ++end;
-  return end < bytes.size() ? end + 1 : end;
+  return end < bytes.size() ? end + 1 : 0;
 }
 
 Key KeyOfCharacter(char character) {
@@ -28,15 +32,17 @@ Key KeyOfCharacter(char character) {
 
 }  // namespace
 
-std::vector<Key> KeysFromTerminal(absl::string_view bytes) {
+std::vector<Key> TakeKeys(std::string* bytes) {
   std::vector<Key> keys;
-  while (!bytes.empty()) {
-    const bool sequence = bytes.size() > 1 && bytes[0] == kEscape && (bytes[1] == '[' || bytes[1] == 'O');
-    const size_t size = sequence ? EndOfSequence(bytes) : 1;
-    const Key key = sequence ? ArrowKey(bytes[size - 1]) : KeyOfCharacter(bytes[0]);
+  absl::string_view rest = *bytes;
+  while (!rest.empty()) {
+    const size_t size = SizeOfFirst(rest);
+    if (size == 0) break;
+    const Key key = size > 1 ? ArrowKey(rest[size - 1]) : KeyOfCharacter(rest[0]);
     if (key != kNoKey) keys.push_back(key);
-    bytes.remove_prefix(size);
+    rest.remove_prefix(size);
   }
+  bytes->erase(0, bytes->size() - rest.size());
   return keys;
 }
 

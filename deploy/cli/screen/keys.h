@@ -3,9 +3,8 @@
 #ifndef CRAFTFLEET_DEPLOY_CLI_SCREEN_KEYS_H_
 #define CRAFTFLEET_DEPLOY_CLI_SCREEN_KEYS_H_
 
+#include <string>
 #include <vector>
-
-#include <absl/strings/string_view.h>
 
 namespace craftfleet {
 
@@ -20,8 +19,9 @@ inline constexpr Key kRightKey = 258;
 inline constexpr Key kLeftKey = 259;
 inline constexpr Key kCloseKey = 260;  // Ctrl-C in a terminal, or the window was closed
 
-// The keys in the bytes of a terminal. Unknown escape sequences are skipped.
-std::vector<Key> KeysFromTerminal(absl::string_view bytes);
+// Takes the keys from `bytes` of a terminal, but leaves an escape sequence at the end that may continue, such as
+// "\x1b". Unknown sequences are skipped.
+std::vector<Key> TakeKeys(std::string* bytes);
 
 // The key of a code from OpenCV's waitKeyEx: ASCII or, for arrows, an X11 symbol; kNoKey for others and for -1.
 Key KeyFromWindow(int code);

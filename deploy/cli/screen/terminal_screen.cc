@@ -22,12 +22,24 @@ constexpr int kLeastColumns = 18 + kGapColumns + kTextColumns;
 
 constexpr int kBarColumns = 8;
 
+constexpr absl::Duration kSequenceGap = absl::Milliseconds(50);  // within an escape sequence; longer: the key Escape
+
 void Write(absl::string_view text) {
   while (!text.empty()) {
     const ssize_t count = write(STDOUT_FILENO, text.data(), text.size());
     if (count <= 0) return;
     text.remove_prefix(static_cast<size_t>(count));
   }
+}
+
+// Appends to `bytes` what is typed within `timeout`, or some of it. Returns whether there was something.
+bool Read(absl::Duration timeout, std::string* bytes) {
+  pollfd input = {STDIN_FILENO, POLLIN, 0};
+  if (poll(&input, 1, static_cast<int>(absl::ToInt64Milliseconds(timeout))) <= 0) return false;
+  char buffer[64];
+  const ssize_t count = read(STDIN_FILENO, buffer, sizeof(buffer));
+  if (count > 0) bytes->append(buffer, static_cast<size_t>(count));
+  return count > 0;
 }
 
 // Columns and lines; 80 and 24 if the terminal does not report its size.
@@ -130,12 +142,14 @@ absl::Status TerminalScreen::Show(const View& view) {
 }
 
 Key TerminalScreen::ReadKey(absl::Duration timeout) {
-  pollfd input = {STDIN_FILENO, POLLIN, 0};
-  if (keys_.empty() && poll(&input, 1, static_cast<int>(absl::ToInt64Milliseconds(timeout))) > 0) {
-    char bytes[64];
-    const ssize_t count = read(STDIN_FILENO, bytes, sizeof(bytes));
-    for (const Key key : KeysFromTerminal({bytes, static_cast<size_t>(std::max<ssize_t>(count, 0))}))
-      keys_.push_back(key);
+  if (keys_.empty()) {
+    std::string bytes;
+    bool more = Read(timeout, &bytes);
+    while (more) {
+      for (const Key key : TakeKeys(&bytes)) keys_.push_back(key);
+      more = !bytes.empty() && Read(kSequenceGap, &bytes);
+    }
+    if (bytes == "\x1b") keys_.push_back(kEscapeKey);
   }
   if (keys_.empty()) return kNoKey;
   const Key key = keys_.front();

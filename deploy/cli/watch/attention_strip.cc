@@ -54,11 +54,13 @@ std::vector<int64_t> ChooseSteps(const std::vector<int64_t>& unlocks, int64_t le
   return {steps.begin(), steps.end()};
 }
 
-absl::StatusOr<EpisodeOutline> PlayOutline(const std::atomic<bool>& stop, AgentGame* game) {
+absl::StatusOr<EpisodeOutline> PlayOutline(const std::atomic<bool>& stop, const StepListener& on_step,
+                                           AgentGame* game) {
   EpisodeOutline outline;
   while (!game->ended()) {
     if (stop) return Stopped();
     CRAFTFLEET_RETURN_IF_ERROR(game->Step());
+    on_step(game->world().step());
     if (game->outcome().unlocked != 0) outline.unlocks.push_back(game->world().step() - 1);
   }
   outline.length = game->world().step();
@@ -66,12 +68,14 @@ absl::StatusOr<EpisodeOutline> PlayOutline(const std::atomic<bool>& stop, AgentG
 }
 
 absl::StatusOr<std::vector<StripColumn>> TakeColumns(const std::vector<int64_t>& steps, const AttentionChoice& choice,
-                                                     const std::atomic<bool>& stop, AgentGame* game) {
+                                                     const std::atomic<bool>& stop, const StepListener& on_step,
+                                                     AgentGame* game) {
   std::vector<StripColumn> columns;
   for (const int64_t step : steps) {
     while (game->world().step() < step && !game->ended()) {
       if (stop) return Stopped();
       CRAFTFLEET_RETURN_IF_ERROR(game->Step());
+      on_step(game->world().step());
     }
     if (game->ended()) break;
     StripColumn column;

@@ -5,6 +5,7 @@
 
 #include <atomic>
 #include <cstdint>
+#include <functional>
 #include <string>
 #include <vector>
 
@@ -46,15 +47,19 @@ struct EpisodeOutline {
   int64_t length = 0;            // steps
 };
 
+// Called after each step, with the steps of the episode so far.
+using StepListener = std::function<void(int64_t steps)>;
+
 // Plays an episode, which has just begun, to its end.
 //   Errors as AgentGame::Step. Cancelled: `stop` became true.
-absl::StatusOr<EpisodeOutline> PlayOutline(const std::atomic<bool>& stop, AgentGame* game);
+absl::StatusOr<EpisodeOutline> PlayOutline(const std::atomic<bool>& stop, const StepListener& on_step, AgentGame* game);
 
 // Plays an episode, which has just begun, up to the last of `steps` (ascending) and takes the columns there. Steps
 // after the end are left out.
 //   Errors as AgentGame::Attention and Choose. Cancelled: `stop` became true.
 absl::StatusOr<std::vector<StripColumn>> TakeColumns(const std::vector<int64_t>& steps, const AttentionChoice& choice,
-                                                     const std::atomic<bool>& stop, AgentGame* game);
+                                                     const std::atomic<bool>& stop, const StepListener& on_step,
+                                                     AgentGame* game);
 
 }  // namespace craftfleet
 

@@ -20,7 +20,9 @@ namespace craftfleet {
 namespace {
 
 using testing::ElementsAre;
+using testing::HasSubstr;
 using testing::IsEmpty;
+using testing::SizeIs;
 
 constexpr int kFrameSize = 8;
 constexpr int kPictureSize = 64;
@@ -129,17 +131,31 @@ TEST_F(EpisodeRecorderTest, KeepsUnfinishedEpisodesIfAsked) {
   EXPECT_THAT(Files("episodes"), ElementsAre("20240229T235958-episode0005-ach2-len4.npz"));
 }
 
-TEST_F(EpisodeRecorderTest, ShowsAttentionOnTheRight) {
+TEST_F(EpisodeRecorderTest, AnEpisodeWhoseVideoFailsIsNotWrittenAgain) {
+  options_.video_folder = folder_ / "video";
+  options_.npz_folder = folder_ / "npz";
+  const auto recorder = Make();
+  Play(5, 4, recorder.get(), StepEnd::kNone);
+  ASSERT_THAT(RemoveAll(folder_ / ("video/" + Files("video")[0])), IsOk()) << "the unfinished video";
+  EXPECT_THAT(recorder->FinishAll(), StatusIs(absl::StatusCode::kDataLoss, HasSubstr("0 of 5 pictures")));
+  EXPECT_THAT(recorder->FinishAll(), IsOk());
+  EXPECT_THAT(Files("video"), IsEmpty());
+  EXPECT_THAT(Files("npz"), SizeIs(1));
+}
+
+TEST_F(EpisodeRecorderTest, ShowsAttentionWithItsScaleOnTheRightOfPicturesAndVideos) {
   const auto policy = SamplePolicy(1, 1, "oc_ca");
   options_.frame_size = 72;
   options_.attention = AttentionChoice();
   options_.picture_folder = folder_ / "pictures";
+  options_.video_folder = folder_ / "video";
   auto recorder = EpisodeRecorder::Create(options_, AttentionOf(*policy), absl::Now());
   ASSERT_THAT(recorder, IsOk());
   Moment moment = MomentAt(5);
   moment.frame.assign(size_t{3} * 72 * 72, '\1');
   ASSERT_THAT((*recorder)->OnStart(5, moment), IsOk());
-  const cv::Mat picture = cv::imread(folder_ / "pictures/episode-0005-step-00000.png");
+  ASSERT_THAT((*recorder)->OnStep(5, {Action::kDo, 0, StepEnd::kTerminated}, moment), IsOk());
+  cv::Mat picture = cv::imread(folder_ / "pictures/episode-0005-step-00000.png");
   ASSERT_EQ(picture.cols, 2 * kPictureSize);
   ASSERT_EQ(picture.rows, kPictureSize + ScaleHeight(kPictureSize));
   EXPECT_EQ(picture.at<cv::Vec3b>(32, kPictureSize - 1), (cv::Vec3b{100, 100, 100})) << "the unchanged picture";
@@ -147,22 +163,9 @@ TEST_F(EpisodeRecorderTest, ShowsAttentionOnTheRight) {
   EXPECT_GT(overlaid[2], overlaid[0]) << "light is more red than blue";
   const auto unseen = picture.at<cv::Vec3b>(32, 2 * kPictureSize - 1);
   EXPECT_EQ(unseen, (cv::Vec3b{70, 70, 70})) << "only 64 of 72 pixels are covered by patches";
-}
 
-TEST_F(EpisodeRecorderTest, AttentionHasAScaleInVideosToo) {
-  const auto policy = SamplePolicy(1, 1, "oc_ca");
-  options_.frame_size = 72;
-  options_.attention = AttentionChoice();
-  options_.video_folder = folder_ / "video";
-  auto recorder = EpisodeRecorder::Create(options_, AttentionOf(*policy), absl::Now());
-  ASSERT_THAT(recorder, IsOk());
-  Moment moment = MomentAt(0);
-  moment.frame.assign(size_t{3} * 72 * 72, '\1');
-  ASSERT_THAT((*recorder)->OnStart(5, moment), IsOk());
-  ASSERT_THAT((*recorder)->OnStep(5, {Action::kDo, 0, StepEnd::kTerminated}, moment), IsOk());
   ASSERT_EQ(Files("video").size(), 1U);
   cv::VideoCapture video(folder_ / ("video/" + Files("video")[0]));
-  cv::Mat picture;
   ASSERT_TRUE(video.read(picture));
   EXPECT_EQ(picture.cols, 2 * kPictureSize);
   EXPECT_EQ(picture.rows, kPictureSize + ScaleHeight(kPictureSize));

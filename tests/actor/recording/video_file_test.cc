@@ -16,6 +16,7 @@ namespace {
 using testing::ElementsAre;
 using testing::HasSubstr;
 using testing::IsEmpty;
+using testing::Not;
 
 constexpr int kWidth = 96;
 constexpr int kHeight = 64;
@@ -63,6 +64,25 @@ TEST(VideoFile, NamesTheFileThatCannotBeWritten) {
   const TempFolder folder;
   EXPECT_THAT(VideoFile::Create(folder / "none/a.mp4", kWidth, kHeight),
               StatusIs(absl::StatusCode::kNotFound, HasSubstr("none/a.mp4")));
+}
+
+TEST(VideoFile, AFolderIsRefusedBeforeTheFirstPicture) {
+  const TempFolder folder;
+  ASSERT_THAT(CreateFolders(folder / "a.mp4"), IsOk());
+  EXPECT_THAT(VideoFile::Create(folder / "a.mp4", kWidth, kHeight),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("a.mp4 is a folder or a device, want a file")));
+  EXPECT_THAT(*ListFolder(folder / ""), ElementsAre("a.mp4"));
+}
+
+TEST(VideoFile, AVideoThatCannotBeRenamedLeavesNoFile) {
+  const TempFolder folder;
+  auto video = VideoFile::Create(folder / "a.mp4", kWidth, kHeight);
+  ASSERT_THAT(video, IsOk());
+  ASSERT_THAT((*video)->Append(Plain(1, 2, 3)), IsOk());
+  ASSERT_THAT(CreateFolders(folder / "a.mp4"), IsOk());
+  for (int i = 0; i < 2; ++i) EXPECT_THAT((*video)->Finish(folder / "a.mp4"), Not(IsOk()));
+  video->reset();
+  EXPECT_THAT(*ListFolder(folder / ""), ElementsAre("a.mp4"));
 }
 
 }  // namespace

@@ -34,7 +34,10 @@ TEST(CpuPin, PinsCoverEveryLibrary) {
   EXPECT_THAT(CpuPins(v1::RunConfig::AVX512), Contains(Pair("OPENBLAS_CORETYPE", "SkylakeX")));
 }
 
-TEST(CpuPin, NativeDoesNotRestartTheProcess) { EXPECT_THAT(PinCpu(v1::RunConfig::NATIVE), IsOk()); }
+// In a process of its own: one that restarts runs these tests and exits with another code.
+TEST(CpuPin, NativeDoesNotRestartTheProcess) {
+  EXPECT_EXIT(_exit(PinCpu(v1::RunConfig::NATIVE).ok() ? 7 : 1), testing::ExitedWithCode(7), "");
+}
 
 TEST(CpuPin, APinnedProcessDoesNotRestart) {
   if (!CheckCpu(v1::RunConfig::AVX2).ok()) GTEST_SKIP() << "a CPU without AVX2";

@@ -1,5 +1,8 @@
 #include "deploy/cli/screen/keys.h"
 
+#include <string>
+#include <vector>
+
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -9,24 +12,40 @@ namespace {
 using testing::ElementsAre;
 using testing::IsEmpty;
 
-TEST(KeysFromTerminal, ReadsLettersAndArrowsOfBothModes) {
-  EXPECT_THAT(KeysFromTerminal("wW \t1"), ElementsAre('w', 'w', ' ', kTabKey, '1'));
-  EXPECT_THAT(KeysFromTerminal("\x1b[A\x1b[B\x1bOC\x1bODx"), ElementsAre(kUpKey, kDownKey, kRightKey, kLeftKey, 'x'));
+// The keys in `bytes`, and a '?' if some of them are left for the next read.
+std::vector<Key> KeysIn(std::string bytes) {
+  std::vector<Key> keys = TakeKeys(&bytes);
+  if (!bytes.empty()) keys.push_back('?');
+  return keys;
 }
 
-TEST(KeysFromTerminal, KnowsEscapeAndCtrlC) {
-  EXPECT_THAT(KeysFromTerminal("\x1b"), ElementsAre(kEscapeKey));
-  EXPECT_THAT(KeysFromTerminal("\x03"), ElementsAre(kCloseKey));
+TEST(TakeKeys, ReadsLettersAndArrowsOfBothModes) {
+  EXPECT_THAT(KeysIn("wW \t1"), ElementsAre('w', 'w', ' ', kTabKey, '1'));
+  EXPECT_THAT(KeysIn("\x1b[A\x1b[B\x1bOC\x1bODx"), ElementsAre(kUpKey, kDownKey, kRightKey, kLeftKey, 'x'));
 }
 
-TEST(KeysFromTerminal, SkipsWhatItDoesNotKnow) {
-  EXPECT_THAT(KeysFromTerminal("\x1b[6~\x1b[1;5H"), IsEmpty());
-  EXPECT_THAT(KeysFromTerminal("\x01\xc3\xa4q"), ElementsAre('q'));
-  EXPECT_THAT(KeysFromTerminal("\x1b["), IsEmpty());
-  EXPECT_THAT(KeysFromTerminal("\x1b[12"), IsEmpty());
+TEST(TakeKeys, KnowsEscapeAndCtrlC) {
+  EXPECT_THAT(KeysIn("\x1b\x1b[A"), ElementsAre(kEscapeKey, kUpKey));
+  EXPECT_THAT(KeysIn("\x03"), ElementsAre(kCloseKey));
 }
 
-TEST(KeysFromTerminal, ACtrlArrowIsAnArrow) { EXPECT_THAT(KeysFromTerminal("\x1b[1;5A"), ElementsAre(kUpKey)); }
+TEST(TakeKeys, SkipsWhatItDoesNotKnow) {
+  EXPECT_THAT(KeysIn("\x1b[6~\x1b[1;5H"), IsEmpty());
+  EXPECT_THAT(KeysIn("\x01\xc3\xa4q"), ElementsAre('q'));
+}
+
+TEST(TakeKeys, ACtrlArrowIsAnArrow) { EXPECT_THAT(KeysIn("\x1b[1;5A"), ElementsAre(kUpKey)); }
+
+TEST(TakeKeys, AnArrowMayArriveInParts) {
+  const std::string arrow = "\x1b[1;5A";
+  for (size_t size = 1; size < arrow.size(); ++size) {
+    std::string bytes = "q" + arrow.substr(0, size);
+    EXPECT_THAT(TakeKeys(&bytes), ElementsAre('q'));
+    bytes += arrow.substr(size);
+    EXPECT_THAT(TakeKeys(&bytes), ElementsAre(kUpKey)) << size;
+    EXPECT_EQ(bytes, "");
+  }
+}
 
 TEST(KeyFromWindow, ReadsAsciiAndArrows) {
   EXPECT_EQ(KeyFromWindow('w'), 'w');

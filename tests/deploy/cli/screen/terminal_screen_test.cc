@@ -1,7 +1,17 @@
 #include "deploy/cli/screen/terminal_screen.h"
 
+#include <fcntl.h>
+#include <unistd.h>
+
+#include <cstdlib>
+#include <memory>
+#include <string>
+#include <utility>
+
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+
+#include "tests/fakes/status_matchers.h"
 
 namespace craftfleet {
 namespace {
@@ -35,6 +45,51 @@ TEST(PageRows, CutWhatDoesNotFit) {
 TEST(PageRows, ABarIsOfCharacters) {
   const View view = Grey(2, 2, {{"do", TextLine::Style::kPlain, 0.5}});
   EXPECT_THAT(PageRows(view, 80, 1)[0], EndsWith("  do                   ####      50%"));
+}
+
+// A screen in a terminal of its own, in place of standard input and output.
+class TerminalKeys : public testing::Test {
+ protected:
+  TerminalKeys() : keyboard_(posix_openpt(O_RDWR | O_NOCTTY)) {
+    grantpt(keyboard_);
+    unlockpt(keyboard_);
+    const int terminal = open(ptsname(keyboard_), O_RDWR | O_NOCTTY);
+    for (const int stream : {STDIN_FILENO, STDOUT_FILENO}) dup2(terminal, stream);
+    close(terminal);
+    auto screen = TerminalScreen::Open();
+    EXPECT_THAT(screen, IsOk());
+    if (screen.ok()) screen_ = *std::move(screen);
+  }
+  ~TerminalKeys() override {
+    screen_ = nullptr;
+    for (const int stream : {STDIN_FILENO, STDOUT_FILENO}) dup2(before_[stream], stream);
+    for (const int descriptor : {before_[0], before_[1], keyboard_}) close(descriptor);
+  }
+
+  void Type(const std::string& bytes) const {
+    ASSERT_EQ(write(keyboard_, bytes.data(), bytes.size()), static_cast<ssize_t>(bytes.size()));
+  }
+
+  const int before_[2] = {dup(STDIN_FILENO), dup(STDOUT_FILENO)};
+  const int keyboard_;
+  std::unique_ptr<Screen> screen_;
+};
+
+TEST_F(TerminalKeys, AHeldArrowIsNeverTheKeyEscape) {
+  ASSERT_NE(screen_, nullptr);
+  std::string bytes;
+  for (int i = 0; i < 22; ++i) bytes += "\x1b[C";
+  Type(bytes);
+  for (int i = 0; i < 22; ++i) EXPECT_EQ(screen_->ReadKey(absl::Seconds(10)), kRightKey) << i;
+  EXPECT_EQ(screen_->ReadKey(absl::ZeroDuration()), kNoKey);
+}
+
+TEST_F(TerminalKeys, EscapeAloneIsAKey) {
+  ASSERT_NE(screen_, nullptr);
+  Type("\x1b");
+  EXPECT_EQ(screen_->ReadKey(absl::Seconds(10)), kEscapeKey);
+  Type("q");
+  EXPECT_EQ(screen_->ReadKey(absl::Seconds(10)), 'q');
 }
 
 }  // namespace

@@ -1,5 +1,10 @@
 #include "deploy/cli/watch/attention_strip.h"
 
+#include <atomic>
+#include <cstdint>
+#include <memory>
+#include <vector>
+
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -66,8 +71,23 @@ TEST(ChooseSteps, PrefersAchievementsAndFillsUpEvenly) {
 TEST(PlayOutline, CanBeStopped) {
   const auto game = AgentGame::Create(WatchedOptions(), SamplePolicy(1), 1);
   ASSERT_THAT(game, IsOk());
-  EXPECT_THAT(PlayOutline(std::atomic<bool>{true}, game->get()),
+  const StepListener ignore = [](int64_t) {};
+  EXPECT_THAT(PlayOutline(std::atomic<bool>{true}, ignore, game->get()),
               StatusIs(absl::StatusCode::kCancelled, HasSubstr("stopped")));
+}
+
+TEST(AttentionStrip, EachStepIsReported) {
+  const std::shared_ptr<const Policy> policy = SamplePolicy(1);
+  const auto game = AgentGame::Create(WatchedOptions(3), policy, 1);
+  ASSERT_THAT(game, IsOk());
+  const std::atomic<bool> stop{false};
+  std::vector<int64_t> reported;
+  const StepListener listener = [&reported](int64_t steps) { reported.push_back(steps); };
+  EXPECT_THAT(PlayOutline(stop, listener, game->get()), IsOk());
+  EXPECT_THAT(reported, ElementsAre(1, 2, 3));
+  ASSERT_THAT((*game)->Start(policy, 1), IsOk());
+  EXPECT_THAT(TakeColumns({9}, AttentionChoice(), stop, listener, game->get()), IsOk());
+  EXPECT_THAT(reported, ElementsAre(1, 2, 3, 1, 2, 3));
 }
 
 }  // namespace
