@@ -19,8 +19,14 @@ class Playable:
     _, self._area, _, self._size, _, _ = self._setup.arguments
     self._reward = bool(reward)
     self._game = _engine.Game(self._setup, seed)
-    self.observation_space = gymnasium.spaces.Box(0, 255, (self._size[1], self._size[0], 3), np.uint8)
+    self.restores = 0  # calls of restore()
+    self._make_observation_space()
     self.action_space = gymnasium.spaces.Discrete(len(_engine.ACTIONS))
+
+  @property
+  def action_names(self) -> list[str]:
+    """The names of the actions, by number."""
+    return list(_engine.ACTIONS)
 
   def picture(self, size: Any = None) -> np.ndarray:
     """Draws the current moment, at the size of observations or another: uint8[height, width, 3].
@@ -32,7 +38,10 @@ class Playable:
     return frame
 
   def snapshot(self) -> bytes:
-    """The whole game as bytes, about 13 KB for 64x64 cells. RuntimeError: before reset()."""
+    """The whole game as bytes, about 13 KB for 64x64 cells. RuntimeError: before reset().
+
+    The count of a wrapper is not in it, such as that of gymnasium.make(max_episode_steps=...): limit episodes by `length`, which is.
+    """
     return self._game.save()
 
   def restore(self, snapshot: bytes) -> np.ndarray:
@@ -42,10 +51,21 @@ class Playable:
     """
     _arguments.check_snapshot("snapshot", snapshot)
     self._game.restore(snapshot)
+    self.restores += 1
     return self.picture()
+
+  def __getstate__(self) -> dict[str, Any]:
+    return {name: value for name, value in self.__dict__.items() if name != "observation_space"}  # larger than the game
+
+  def __setstate__(self, state: dict[str, Any]) -> None:
+    self.__dict__.update(state)
+    self._make_observation_space()
 
   def __copy__(self) -> Any:
     return copy.deepcopy(self)
+
+  def _make_observation_space(self) -> None:
+    self.observation_space = gymnasium.spaces.Box(0, 255, (self._size[1], self._size[0], 3), np.uint8)
 
   def _canvas(self, size: Any) -> tuple[_arguments.Pair, np.ndarray]:
     pixels = self._size if size is None else _arguments.pair("size", size)

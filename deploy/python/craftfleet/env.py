@@ -7,7 +7,7 @@ from typing import Any, SupportsIndex
 
 import numpy as np
 
-from craftfleet import _arguments, _engine
+from craftfleet import _arguments
 from craftfleet._playable import Playable
 
 
@@ -35,11 +35,6 @@ class Env(Playable):
       seed: int | None = None, *, env: str = "crafter", textures: str | os.PathLike[str] | None = None) -> None:
     seed = np.random.randint(0, 2**31 - 1) if seed is None else _arguments.seed(seed)
     super().__init__(env, area, view, size, reward, length, textures, seed)
-
-  @property
-  def action_names(self) -> list[str]:
-    """The names of the actions, by number."""
-    return list(_engine.ACTIONS)
 
   def reset(self) -> np.ndarray:
     """Starts the next episode; returns the first observation, uint8[height, width, 3]."""

@@ -17,18 +17,27 @@ from craftfleet import _programs
 _MOST_GAMES = 4096
 
 class Policy:
-  """The policy of a run's newest checkpoint, or of a checkpoint: `action = craftfleet.Policy("runs/first")(observation)`.
+  """The policy of a run's newest checkpoint, or of a checkpoint. An episode of one game:
+
+      policy = craftfleet.Policy("runs/first")
+      env = craftfleet.Env(env=policy.env, size=policy.frame_size)
+      policy.reset()
+      observation, reward, done = env.reset(), 0.0, False
+      while not done:
+        observation, reward, done, _ = env.step(policy(observation, reward, starts=False))
 
   It follows the games from call to call, because agents may have a state: pass every observation of each game in turn. It runs a
   process of its own until close(), which an interrupted call does. Use an object from one thread at a time: a call while another
   thread is in one raises RuntimeError. So does a call in a forked process. ValueError and RuntimeError carry the program's message.
 
   Attributes:
-    agent: its name. env_steps: steps of training. frame_size: pixels of observations. has_memory: whether it needs rewards.
+    agent: its name. env: the environment that it was trained on. env_steps: steps of training. frame_size: pixels of observations.
+    needs_rewards: whether calls need the rewards.
   """
 
   def __init__(self, checkpoint: str | os.PathLike[str], *, deterministic: bool = False, seed: int = 0) -> None:
     self._games = 0
+    self._begins = True  # new episodes, with the next call
     self._owner, self._busy = os.getpid(), threading.Lock()
     self._errors = tempfile.TemporaryFile()  # pylint: disable=consider-using-with  # close() closes it
     self._process = _programs.start(
@@ -39,18 +48,21 @@ class Policy:
       raise ValueError(self._failure())
     about = json.loads(line)
     self.agent: str = about["agent"]
+    self.env: str = about["env"]
     self.env_steps: int = about["env_steps"]
     self.frame_size: int = about["frame_size"]
-    self.has_memory: bool = about["has_memory"]
+    self.needs_rewards: bool = about["has_memory"]
 
   def __call__(self, observations: Any, rewards: Any = None, starts: Any = None) -> Any:
     """The action for an observation, uint8[H,W,3], or int64[n] for those of n games, uint8[n,H,W,3]; n is 1..4096.
 
     Args:
       observations: of the same games in each call.
-      rewards: those that came with them; only agents with a memory need them.
-      starts: whether an episode begins with the observation; in the first call it does. For VectorEnv with SAME_STEP it is
-        `terminated | truncated` of the step.
+      rewards: those that came with them; only agents with `needs_rewards` need them.
+      starts: whether an episode begins with the observation, for all games or for each. In the first call and in that after
+        reset() all begin one; later calls need it. Of VectorEnv it is `terminated | truncated`, with SAME_STEP of the step that
+        returned the observations, with NEXT_STEP (the default) of the step before that one; with DISABLED it is the reset_mask
+        after a reset(), and otherwise False.
     """
     if os.getpid() != self._owner:
       raise RuntimeError(f"its program is that of process {self._owner}, want a Policy of this process's own")
@@ -61,24 +73,31 @@ class Policy:
     finally:
       self._busy.release()
 
+  def reset(self) -> None:
+    """The next call begins new episodes in all games, whatever its `starts`."""
+    self._begins = True
+
   def _act(self, observations: Any, rewards: Any, starts: Any) -> Any:
     frames = np.ascontiguousarray(observations)
     size = self.frame_size
     if frames.dtype != np.uint8 or frames.ndim not in (3, 4) or frames.shape[-3:] != (size, size, 3):
       raise ValueError(f"observations are {frames.dtype}{list(frames.shape)}, want uint8[{size}, {size}, 3] or uint8[n, {size}, {size}, 3]")
     games = frames.shape[0] if frames.ndim == 4 else 1
-    first = self._games == 0
-    if games < 1 or (not first and games != self._games):
-      raise ValueError(f"observations of {games} games, want {self._games or 'one or more'}")
+    if games < 1:
+      raise ValueError("observations of 0 games, want one or more")
+    if self._games not in (0, games):
+      raise ValueError(f"observations of {games} games, want {self._games} as before, or a new Policy for another number of games")
     if games > _MOST_GAMES:
       raise ValueError(f"observations of {games} games, want at most {_MOST_GAMES}")
-    if rewards is None and self.has_memory and not first:
+    if starts is None and not self._begins:
+      raise ValueError("starts is missing: pass whether an episode begins with the observation, or call reset() before new episodes")
+    if rewards is None and self.needs_rewards and not self._begins:
       raise ValueError(f"{self.agent} remembers achievements: pass the rewards that came with the observations")
     rewards = self._each("rewards", 0 if rewards is None else rewards, games, "<f4")
-    starts = self._each("starts", first if starts is None else starts, games, np.bool_)
+    starts = self._each("starts", False if starts is None else starts, games, np.bool_) | self._begins
     request = games.to_bytes(4, "little") + starts.tobytes() + rewards.tobytes() + frames.tobytes()
     actions = self._ask(request, games)
-    self._games = games
+    self._games, self._begins = games, False
     return actions if frames.ndim == 4 else int(actions[0])
 
   def close(self) -> None:

@@ -25,12 +25,22 @@ class Recorder(gymnasium.Wrapper, gymnasium.utils.RecordConstructorArgs):
   The folder gets a line in stats.jsonl, a video (.mp4, needs imageio[ffmpeg]) and a table (.npz) of each finished episode; the
   latter are named by time, number of achievements and length. Several recorders may share a folder. The game is the same with and
   without a recorder. For craftfleet.Env, where it has crafter's interface, and for Gymnasium environments of this package, where it
-  is a gymnasium.Wrapper. Steps after the end of an episode are not recorded.
+  is a gymnasium.Wrapper. Steps after the end of an episode are not recorded, nor is the rest of an episode whose environment was
+  restored from a snapshot.
+
+  Args:
+    directory: the folder; None: nothing is recorded.
+    save_stats: whether stats.jsonl gets a line.
+    save_video: whether videos are made.
+    save_episode: whether tables are made.
+    video_size: width and height of videos in pixels; one integer stands for both.
   """
 
   def __new__(cls, env: Any = None, *arguments: Any, **named: Any) -> Any:
     # A copy is made without arguments.
     if env is not None and not isinstance(env, gymnasium.Env) and not isinstance(env, gymnasium.vector.VectorEnv):
+      if cls is not Recorder:
+        raise TypeError(f"{cls.__name__} of {type(env).__name__}, want an environment of Gymnasium: a Recorder of others has no subclasses")
       return _CrafterRecorder(env, *arguments, **named)
     return super().__new__(cls)
 
@@ -102,6 +112,9 @@ class _Files:
   def __init__(
       self, env: Any, directory: str | os.PathLike[str] | None, save_stats: bool, save_video: bool, save_episode: bool,
       video_size: Any) -> None:
+    if not hasattr(env, "restores"):
+      raise TypeError(f"{type(env).__name__} is no environment of craftfleet, want craftfleet.Env or one of gymnasium.make")
+    self._env, self._restores = env, env.restores
     self._folder = pathlib.Path(directory or ".").expanduser()
     self._save_stats, self._save_table = bool(directory and save_stats), bool(directory and save_episode)
     self._video = _Video(env, _arguments.pair("video_size", video_size)) if directory and save_video else None
@@ -111,6 +124,7 @@ class _Files:
 
   def begin(self, observation: np.ndarray) -> None:
     self.drop()
+    self._restores = self._env.restores
     if self._video is not None:
       self._video.begin(self._folder)
     if self._save_stats or self._save_table or self._video is not None:
@@ -118,6 +132,8 @@ class _Files:
       self._rows: list[dict[str, Any]] = []
 
   def add(self, action: Any, observation: np.ndarray, done: bool, info: dict[str, Any]) -> None:
+    if self._env.restores != self._restores:  # what follows is of another episode
+      self.drop()
     if self._first is None:
       return
     self._length += 1

@@ -39,6 +39,8 @@ def score(path: str | os.PathLike[str]) -> Score:
   if file.is_dir():
     file = next((file / name for name in ("stats.jsonl", "stats.jsonl.gz") if (file / name).exists()), file / "stats.jsonl")
   file.stat()
+  if file.suffix == run_files.SUFFIX:
+    raise ValueError(f"{file}: want a stats.jsonl or the folder with it; analysis.load() reads result files")
   try:
     episodes = logs.read_log(str(file))
   except logs.Refusal as error:
@@ -77,6 +79,8 @@ def load_curves(run: str | os.PathLike[str]) -> pandas.DataFrame:
   import pandas  # pylint: disable=import-outside-toplevel  # takes half a second, and only this needs it
   rows: dict[int, dict[str, float]] = {}
   path = pathlib.Path(run).expanduser() / "events.out.tfevents.craftfleet"
+  if not path.exists():
+    raise FileNotFoundError(f"{path}: no curves, want the folder of a run")
   for event in _records(path.read_bytes()):
     try:
       step, values = _numbers(event)

@@ -19,7 +19,7 @@ _AUTORESET = {
     AutoresetMode.DISABLED: _engine.Autoreset.DISABLED,
 }
 # What a copy makes anew: the engine's arrays, and a space that is larger than the games.
-_MADE_ANEW = ("_batch", "_observations", "_infos", "_ends", "observation_space")
+_MADE_ANEW = ("_batch", "_observations", "_infos", "_ends", "_everyone", "observation_space")
 MAX_LANES = 1 << 20
 MAX_THREADS = 1 << 10
 
@@ -27,8 +27,9 @@ MAX_THREADS = 1 << 10
 class VectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
   """`num_envs` games with Gymnasium's vector interface.
 
-  Observations, rewards, ends and infos are arrays that are allocated once: each call overwrites what the previous one returned.
-  They are NumPy arrays, so `torch.from_dlpack(observations)` shares their memory. With `copy=True` each call returns new ones.
+  Each call returns new arrays, as Gymnasium's vector environments do. With `copy=False`, for speed, observations, rewards, ends and
+  infos are arrays that are allocated once, and each call overwrites what the previous one returned.
+  `torch.from_dlpack(observations)` shares their memory.
 
   The games do not depend on `threads`: lane i plays what GymnasiumEnv plays after `reset(seed=seed + i)`. step() releases the
   GIL. Use an object from one thread at a time: a call while another thread is in one raises RuntimeError. So do reset() and
@@ -38,7 +39,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     num_envs: number of games, the lanes.
     threads: threads that step them, the caller's included.
     autoreset_mode: when a lane whose episode has ended starts its next one: NEXT_STEP, SAME_STEP or DISABLED.
-    copy: whether calls return copies.
+    copy: whether calls return new arrays.
     semantic: whether infos have the semantic views, 4 KB a lane.
     render_mode, render_size: as of GymnasiumEnv; render() returns a picture of each lane.
     max_episode_steps: as gymnasium.make_vec() passes it: episodes are truncated after so many steps, if `length` is not less.
@@ -48,7 +49,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
   def __init__(
       self, num_envs: int, *, threads: int = 1, env: str = "crafter", area: Any = (64, 64), view: Any = (9, 9), size: Any = (64, 64),
       reward: bool = True, length: int | None = 10000, textures: str | os.PathLike[str] | None = None,
-      autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP, copy: bool = False, semantic: bool = False,
+      autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP, copy: bool = True, semantic: bool = False,
       render_mode: str | None = None, render_size: Any = None, max_episode_steps: int | None = None) -> None:
     self._arguments = {name: value for name, value in locals().items() if name not in ("self", "__class__")}
     self.num_envs = _arguments.integer("num_envs", num_envs, 1, MAX_LANES)
@@ -68,9 +69,9 @@ class VectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     self._batch = _engine.Batch(
         setup, self.num_envs, _arguments.integer("threads", threads, 1, MAX_THREADS), _AUTORESET[self.autoreset_mode],
         bool(reward), bool(semantic))
-    everyone = np.ones(self.num_envs, np.bool_)
-    everyone.flags.writeable = False  # all masks of all calls are this array
-    self._observations, self._infos = _named(self._batch.rows, everyone)
+    self._everyone = np.ones(self.num_envs, np.bool_)
+    self._everyone.flags.writeable = False  # all masks of all calls are this array
+    self._observations, self._infos = _named(self._batch.rows, self._everyone)
     self._ends = (self._batch.rewards, self._batch.terminated, self._batch.truncated)
     self.single_observation_space = gymnasium.spaces.Box(0, 255, (height, width, 3), np.uint8)
     self.single_action_space = gymnasium.spaces.Discrete(len(_engine.ACTIONS))
@@ -128,6 +129,8 @@ class VectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     ValueError: damaged, or of other arguments; names the lane. The lanes before it have their snapshots by then.
     """
+    if isinstance(snapshots, bytes):
+      raise TypeError(f"snapshots of type bytes, want a list with one for each of {self.num_envs} lanes")
     if len(snapshots) != self.num_envs:
       raise ValueError(f"{len(snapshots)} snapshots, want one for each of {self.num_envs} lanes")
     for lane, snapshot in enumerate(snapshots):
@@ -158,7 +161,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
   def _current(self) -> tuple[np.ndarray, dict[str, Any]]:
     if self._copy:
-      return self._observations.copy(), copy.deepcopy(self._infos)
+      return _named({name: row.copy() for name, row in self._batch.rows.items()}, self._everyone)
     return self._observations, {name: dict(info) if isinstance(info, dict) else info for name, info in self._infos.items()}
 
   def _final(self, ended: np.ndarray) -> dict[str, Any]:

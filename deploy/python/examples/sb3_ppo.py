@@ -28,7 +28,7 @@ class Games(VecEnv):
     seeded = any(seed is not None for seed in self._seeds)
     observations, _ = self.envs.reset(seed=self._seeds if seeded else None)
     self._reset_seeds()
-    return observations.copy()  # the next step overwrites them, and Stable-Baselines3 keeps them for longer
+    return observations
 
   def step_async(self, actions):
     self._actions = actions
@@ -38,7 +38,7 @@ class Games(VecEnv):
     infos = [{"TimeLimit.truncated": bool(cut)} for cut in truncated]
     for lane in np.flatnonzero(terminated | truncated):
       infos[lane]["terminal_observation"] = found["final_obs"][lane]
-    return observations.copy(), rewards.astype(np.float32), terminated | truncated, infos
+    return observations, rewards.astype(np.float32), terminated | truncated, infos
 
   def get_images(self):
     return self.envs.render()

@@ -25,7 +25,7 @@ def new_network():
 def train(envs, network, steps):
   """Trains the network; yields the steps so far and their mean reward after each update."""
   optimizer = torch.optim.Adam(network.parameters(), lr=3e-4)
-  frames = torch.from_dlpack(envs.reset(seed=0)[0])  # shares the memory: always the newest pictures
+  frames = torch.from_dlpack(envs.reset(seed=0)[0])  # shares the memory with copy=False: always the newest pictures
 
   def act():
     outputs = network(frames.permute(0, 3, 1, 2) / 255)
@@ -63,7 +63,7 @@ def main():
   parser.add_argument("--lanes", type=int, default=16)
   arguments = parser.parse_args()
   torch.manual_seed(0)
-  envs = craftfleet.VectorEnv(arguments.lanes, autoreset_mode="SameStep")
+  envs = craftfleet.VectorEnv(arguments.lanes, autoreset_mode="SameStep", copy=False)
   recent = 0.0
   for update, (steps, reward) in enumerate(train(envs, new_network(), arguments.steps), 1):
     recent += reward

@@ -102,7 +102,7 @@ def main():
   games = {
       "crafter.Env": single(crafter.Env(seed=0)),
       "craftfleet.Env": single(craftfleet.Env(seed=0, textures="crafter")),
-      f"craftfleet.VectorEnv({LANES})": vector(craftfleet.VectorEnv(LANES, textures="crafter")),
+      f"craftfleet.VectorEnv({LANES})": vector(craftfleet.VectorEnv(LANES, textures="crafter", copy=False)),
   }
   server = None
   if arguments.envserver:

@@ -240,6 +240,26 @@ class Results(package.Case):
     episodes = analysis.episodes(table["run"][0])
     self.assertEqual((len(episodes), episodes["length"][0], episodes["reward"][0], episodes["collect_coal"][0]), (40, 100, 11, 2))
 
+  def test_notebooks_have_the_final_scores(self):
+    write_run(self.folder / "a", 1)
+    for log, unlocked in (("final_sampled", 22), ("final_argmax", 11)):
+      (self.folder / f"a/{log}.jsonl").write_text(same_episodes(3, unlocked))
+    table = analysis.load(self.folder)
+    self.assertAlmostEqual(table["final"][0], 100)
+    self.assertAlmostEqual(table["final_argmax"][0], math.sqrt(101) - 1)
+
+  def test_notebooks_may_give_runs_and_paths_alike(self):
+    write_run(self.folder / "a", 1)
+    write_run(self.folder / "b", 2, episodes=30)
+    run = analysis.load(self.folder)["run"][0]
+    self.assertEqual(list(analysis.load([run, self.folder / "b"])["seed"]), [1, 2])
+    self.assertEqual([len(analysis.episodes(one)) for one in (run, self.folder / "b")], [40, 30])
+    for arguments, words in (((run, "foo"), "log 'foo', want one of stats, eval_argmax, eval_sampled"),
+                             ((self.folder,), f"{self.folder}: 2 runs, want one")):
+      with self.assertRaisesRegex(ValueError, words):
+        analysis.episodes(*arguments)
+    self.assertLessEqual({"Run", "episodes", "load", "read_runs"}, set(dir(analysis)))
+
   def test_notebooks_may_name_folders_by_paths_and_from_home(self):
     write_run(self.folder / "a", 1)
     with unittest.mock.patch.dict(os.environ, HOME=str(self.folder)):
@@ -523,6 +543,7 @@ axes = [
     for text, message in (
         ('experiments = [{ nam = "t" }]', 'unknown field "nam", want one of name, title'),
         ('experiments = [{ name = "t", combine = "all" }]', "want one of product, each, pairs"),
+        ('experiments = [{ name = "t", axes = ["agent"] }]', 'axes: "agent", want { axis = "agent" }'),
         ('experiments = [{ name = "t", axes = [{ axis = "x" }] }]', 'experiment "t": axis "x" is not in the file'),
         ('experiments = [{ name = "t", axes = [{ axis = "agent", only = ["x"] }] }]', 'axis "agent" has no choice "x"'),
         ('experiments = [{ name = "t" }, { name = "t" }]', 'experiment "t" occurs twice'),

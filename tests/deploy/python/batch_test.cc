@@ -37,11 +37,10 @@ std::shared_ptr<Setup> SmallSetup(int length) {
   return *setup;
 }
 
-Batch::Options OptionsOf(int lanes, int threads, Autoreset autoreset = Autoreset::kNextStep) {
+Batch::Options OptionsOf(int lanes, int threads) {
   Batch::Options options;
   options.lanes = lanes;
   options.threads = threads;
-  options.autoreset = autoreset;
   options.semantic = true;
   return options;
 }
@@ -80,28 +79,6 @@ TEST(Batch, GamesDoNotDependOnThreads) {
     ResetAll(&many);
     EXPECT_EQ(Play(&many, 40), expected);
   }
-}
-
-TEST(Batch, TheEndOfAnEpisodeIsKeptInTheSameStep) {
-  Batch batch(SmallSetup(1), OptionsOf(2, 1, Autoreset::kSameStep));
-  ResetAll(&batch);
-  const std::vector<uint8_t> first = batch.rows().frames;
-  const std::vector<int64_t> actions = {1, 2};
-  ASSERT_THAT(batch.Step(actions), IsOk());
-  EXPECT_TRUE(batch.truncated()[0]);
-  EXPECT_NE(batch.rows().frames, batch.final_rows().frames);
-  EXPECT_NE(batch.rows().frames, first);
-}
-
-TEST(Batch, AnInvalidActionNamesItsLaneAndMovesNone) {
-  Batch batch(SmallSetup(9), OptionsOf(2, 1));
-  const std::vector<int64_t> fine = {0, 0};
-  EXPECT_THAT(batch.Step(fine), StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("lane 0: no game yet")));
-  ResetAll(&batch);
-  const std::string before = *batch.Save(0);
-  const std::vector<int64_t> bad = {0, 17};
-  EXPECT_THAT(batch.Step(bad), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("actions[1] 17, want 0..16")));
-  EXPECT_EQ(*batch.Save(0), before);
 }
 
 TEST(Batch, CallsFromSeveralThreadsAreRefusedOrDoneWhole) {

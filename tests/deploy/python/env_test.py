@@ -208,6 +208,13 @@ class Clones(package.PackageCase):
     for clone in clones:
       self.assertEqual(play(clone, 400, seed=1), expected)
 
+  def test_pickles_have_little_beside_the_snapshot(self):
+    for env in (started(), craftfleet.GymnasiumEnv()):
+      env.reset()
+      pickled = pickle.dumps(env)
+      self.assertLess(len(pickled), len(env.snapshot()) + 2000)
+      self.assertEqual(pickle.loads(pickled).observation_space, env.observation_space)
+
   def test_copies_do_not_share_the_game(self):
     env = started()
     before = env.snapshot()

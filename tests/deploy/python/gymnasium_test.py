@@ -54,6 +54,7 @@ class Environment(package.PackageCase):
 
   def test_it_plays_the_games_of_env(self):
     env, plain = gymnasium.make(NAMES[0]), craftfleet.Env(seed=8)
+    self.assertEqual(env.unwrapped.action_names, plain.action_names)
     observation, info = env.reset(seed=8)
     self.assertEqual(observation.tobytes(), plain.reset().tobytes())
     self.assertEqual((info["reward"], info["discount"], info["inventory"]["health"]), (0.0, 1.0, 9))

@@ -14,7 +14,7 @@ import unittest
 
 from tests.deploy.python import package
 from tests.fakes import full_disk, python_case
-from tests.fakes.python_case import SOURCE, built
+from tests.fakes.python_case import SOURCE
 
 package.need("craftfleet", "numpy")
 import craftfleet  # pylint: disable=wrong-import-position
@@ -181,22 +181,40 @@ class Recorder(FolderCase):
   def test_an_environment_of_many_games_is_refused(self):
     self.assert_refused(TypeError, "VectorEnv plays many games", craftfleet.Recorder, craftfleet.VectorEnv(2), self.folder)
 
+  def test_an_environment_of_another_package_is_refused(self):
+    self.assert_refused(TypeError, "CartPoleEnv is no environment of craftfleet", craftfleet.Recorder, gymnasium.make("CartPole-v1"),
+                        self.folder)
+    self.assert_refused(TypeError, "Case is no environment of craftfleet", craftfleet.Recorder, type("Case", (), {})(), self.folder)
+
+  def test_a_subclass_is_a_wrapper_or_is_refused(self):
+    class Mine(craftfleet.Recorder):
+      pass
+    self.assertIsInstance(Mine(craftfleet.GymnasiumEnv(), None), Mine)
+    self.assert_refused(TypeError, "Mine of Env, want an environment of Gymnasium", Mine, craftfleet.Env(), None)
+
+  def test_an_episode_that_was_restored_is_not_recorded(self):
+    for env in (craftfleet.Env(**ARGUMENTS), gymnasium.make("CraftFleet/Crafter-v1", length=15)):
+      game = getattr(env, "unwrapped", env)
+      recorder = craftfleet.Recorder(env, self.folder, save_video=False)
+      recorder.reset()
+      here = game.snapshot()
+      recorder.step(0)
+      game.restore(here)
+      for _ in range(15):
+        *_, info = recorder.step(0)
+      self.assertEqual(list(self.folder.iterdir()), [])
+    play(recorder, 1)
+    self.assertEqual((craftfleet.score(self.folder).episodes, craftfleet.score(self.folder).length), (1, 15))
+
   def test_without_a_directory_nothing_is_written(self):
     play(craftfleet.Recorder(craftfleet.Env(**ARGUMENTS), None), 1)
 
 
 class Runs(FolderCase):
 
-  @classmethod
-  def setUpClass(cls):
-    super().setUpClass()
-    temp = tempfile.TemporaryDirectory(prefix="craftfleet-")
-    cls.addClassCleanup(temp.cleanup)
-    cls.trained = pathlib.Path(temp.name) / "run"
-    config = pathlib.Path(temp.name) / "config.txt"
-    config.write_text(python_case.SMALL_RUN)
-    subprocess.run([*built("craftfleet train"), f"--config={config}", f"--logdir={cls.trained}"],
-                   check=True, capture_output=True, timeout=120)
+  def setUp(self):
+    super().setUp()
+    self.trained = python_case.trained_run(self.folder / "trained", python_case.SMALL_RUN)
 
   def test_score_is_that_of_the_programs(self):
     golden = json.loads((SOURCE / "tests/data/agents/score.json").read_text())
@@ -243,6 +261,9 @@ class Runs(FolderCase):
     self.assert_refused(FileNotFoundError, "no checkpoint, want folders like iter-", craftfleet.load_weights, self.folder)
     (self.folder / "checkpoints/iter-00000010.bak").mkdir()
     self.assert_refused(FileNotFoundError, "no checkpoint, want folders like iter-", craftfleet.load_weights, self.folder)
+    self.assert_refused(FileNotFoundError, "no curves, want the folder of a run", craftfleet.load_curves, self.folder / "stats.jsonl")
+    (self.folder / "x.npz").touch()
+    self.assert_refused(ValueError, "x.npz: want a stats.jsonl or the folder with it", craftfleet.score, self.folder / "x.npz")
     whole = next((self.trained / "checkpoints").glob("*/weights.safetensors")).read_bytes()
     events = self.folder / "events.out.tfevents.craftfleet"
     events.write_bytes(b"\x01" + bytes(11) + b"\x80" + bytes(4))  # a field that goes on behind its record

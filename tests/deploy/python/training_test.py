@@ -15,13 +15,12 @@ import unittest.mock
 
 from tests.deploy.python import package
 from tests.fakes import python_case
-from tests.fakes.python_case import BIN, SMALL_RUN, built, wait_until
+from tests.fakes.python_case import BIN, ENDLESS, SMALL_RUN, built, wait_until
 
 package.need("craftfleet", "numpy", "pandas", "tqdm", "tensorboard")
 import craftfleet  # pylint: disable=wrong-import-position
+from craftfleet import analysis  # pylint: disable=wrong-import-position
 import numpy as np  # pylint: disable=wrong-import-position
-
-ENDLESS = SMALL_RUN.replace("steps: 192", "steps: 1000000000")
 
 
 class Case(python_case.FolderCase):
@@ -51,6 +50,8 @@ class Training(Case):
     self.assertEqual(run.score, craftfleet.score(self.folder / "program").score)
     self.assertEqual(set(run.weights), set(craftfleet.load_weights(self.folder / "program")))
     self.assertEqual(craftfleet.Run(run.folder).score, run.score)
+    self.assertEqual((run.steps, run.complete, run.env, run.config["lanes"]), (192, True, "crafter", 4))
+    self.assertEqual(analysis.episodes(run)["length"].mean(), craftfleet.score(run).length)
 
   def test_the_curves_are_those_of_tensorboard(self):
     from tensorboard.backend.event_processing import event_accumulator  # pylint: disable=import-outside-toplevel
@@ -68,26 +69,30 @@ class Training(Case):
 
   def test_a_refused_argument_is_a_value_error_with_the_programs_words(self):
     for flags, words in (({"steps": "many"}, r"^--steps=many, want a whole number"), ({"agent": "nobody"}, r'^agent "nobody" is unknown'),
-                         ({"colour": "red"}, r"^unknown flag 'colour'")):
+                         ({"learning_rate": 1e-3}, r"^unknown flag 'learning_rate'.*; hyperparameters are fields .*: config=FILE")):
       with self.assertRaisesRegex(ValueError, words):
         self.train(**flags)
     self.finished_run()
     with self.assertRaisesRegex(ValueError, "--resume"):
       self.train()
-    with self.assertRaisesRegex(FileNotFoundError, "no run, want a folder with config.txt"):
-      craftfleet.evaluate(self.folder / "nothing")
+    for path in ("nothing", "nothing/checkpoints/iter-00000001"):
+      with self.assertRaisesRegex(FileNotFoundError, "nothing: no run, want a folder with config.txt"):
+        craftfleet.evaluate(self.folder / path)
     with self.assertRaisesRegex(ValueError, r"^--episodes=0, want 1\.\.10000"):
       craftfleet.evaluate(self.folder / "run", episodes=0, progress=False)
     with self.assertRaisesRegex(ValueError, r"^protocol: .* run `craftfleet eval --protocol=final`"):
       craftfleet.evaluate(self.folder / "run", protocol="final", progress=False)
 
-  def test_a_failure_on_the_way_is_a_runtime_error(self):
+  def test_a_run_that_is_killed_or_stopped_on_the_way_is_a_runtime_error(self):
     self.config.write_text(ENDLESS)
-    killer = subprocess.Popen(["sh", "-c", f"until [ -e {self.folder}/run/checkpoints/iter-00000001 ]; do sleep 0.1; done;"
-                               f"kill -KILL $(sed 's/process \\([0-9]*\\).*/\\1/' {self.folder}/run/lock)"])
-    self.addCleanup(killer.wait)
-    with self.assertRaisesRegex(RuntimeError, "craftfleet train ended with exit code -9"):
-      self.train()
+    for name, words in (("KILL", "craftfleet train ended with exit code -9"),
+                        ("TERM", r"/TERM: stopped after [\d,]+ of 1,000,000,000 steps; resume=True continues it")):
+      folder = self.folder / name
+      killer = subprocess.Popen(["sh", "-c", f"until [ -e {folder}/checkpoints/iter-00000001 ]; do sleep 0.1; done;"
+                                 f"kill -{name} $(sed 's/process \\([0-9]*\\).*/\\1/' {folder}/lock)"])
+      self.addCleanup(killer.wait)
+      with self.assertRaisesRegex(RuntimeError, words):
+        self.train(name)
 
   def test_an_evaluation_that_is_killed_is_a_runtime_error(self):
     run = self.finished_run()
@@ -165,12 +170,19 @@ class Evaluation(Case):
     self.assertEqual(evaluated.evaluation.success_rates, program["success_percentages"])
     self.assertIsNone(run.evaluation)
 
+  def test_a_checkpoint_is_evaluated_by_its_folder(self):
+    run = self.finished_run()
+    checkpoint, out = run.folder / "checkpoints/iter-00000001", self.folder / "result.json"
+    evaluated = craftfleet.evaluate(checkpoint, episodes=1, out=out, progress=False)
+    self.assertEqual((evaluated.folder, evaluated.evaluation.episodes), (run.folder, 1))
+    self.assertEqual(json.loads(out.read_text())["env_steps_trained"], 64)
+
 
 class Policy(Case):
 
   def recorded(self, run, *flags):
     """The episodes of an evaluation with seed 7, as craftfleet eval records them."""
-    tables = self.folder / "tables"
+    tables = run.folder / "".join(["tables", *flags])
     self.run_program("craftfleet eval", f"--checkpoint={run.folder}", "--episodes=3", "--seed=7", f"--episodes_npz={tables}", *flags)
     episodes = []
     for file in sorted(tables.glob("*.npz")):
@@ -188,15 +200,11 @@ class Policy(Case):
 
   def test_a_policy_plays_the_episodes_of_an_evaluation_again(self):
     run = self.finished_run()
-    with run.policy(seed=7) as policy:
-      self.assertEqual((policy.agent, policy.env_steps, policy.frame_size, policy.has_memory), ("ppo_cnn", 192, 64, False))
-      self.assert_plays_them_again(policy, self.recorded(run))
-
-  def test_the_most_probable_actions_are_those_of_the_program(self):
-    run = self.finished_run()
-    episodes = self.recorded(run, "--deterministic")
-    with run.policy(deterministic=True) as policy:
-      self.assert_plays_them_again(policy, episodes)
+    for flags, choice in (([], {"seed": 7}), (["--deterministic"], {"deterministic": True})):
+      with self.subTest(flags), run.policy(**choice) as policy:
+        self.assertEqual((policy.agent, policy.env_steps, policy.frame_size, policy.needs_rewards), ("ppo_cnn", 192, 64, False))
+        self.assertEqual(policy.env, "crafter")
+        self.assert_plays_them_again(policy, self.recorded(run, *flags))
 
   def test_agents_with_a_state_follow_their_games(self):
     for agent in ("lstm_cnn", "cnn_distillation"):
@@ -204,10 +212,34 @@ class Policy(Case):
         run = self.train(agent, agent=agent)
         episodes = self.recorded(run)
         with run.policy(seed=7) as policy:
-          self.assertEqual(policy.has_memory, agent == "cnn_distillation")
+          self.assertEqual(policy.needs_rewards, agent == "cnn_distillation")
           self.assert_plays_them_again(policy, episodes)
-        for file in (self.folder / "tables").iterdir():
-          file.unlink()
+
+  def test_reset_begins_new_episodes(self):
+    run = self.train(agent="lstm_cnn")
+    episodes = self.recorded(run)
+    with run.policy(seed=7) as policy:
+      for episode in episodes:
+        policy.reset()
+        self.assertEqual([policy(image, starts=False) for image in episode["image"][:-1]], list(episode["action"][1:]))
+
+  def test_starts_of_a_vector_env_are_the_ends_of_the_step_that_its_autoreset_mode_says(self):
+    run = self.train(agent="lstm_cnn")
+    played = {"SameStep": [], "NextStep": []}
+    for mode, games in played.items():
+      envs = craftfleet.VectorEnv(2, length=5, autoreset_mode=mode)
+      frames, _ = envs.reset(seed=0)
+      starts, over = np.ones(2, bool), np.zeros(2, bool)
+      with run.policy(seed=7) as policy:
+        while len(games) < 15:
+          actions = policy(frames, starts=starts)
+          if mode == "SameStep" or not over.any():  # there the action after an end is ignored
+            games.append(actions.tolist())
+          before = over
+          frames, _, terminated, truncated, _ = envs.step(actions)
+          over = terminated | truncated
+          starts = over if mode == "SameStep" else before
+    self.assertEqual(played["NextStep"], played["SameStep"])
 
   def test_many_games_are_played_side_by_side(self):
     run = self.finished_run()
@@ -215,18 +247,9 @@ class Policy(Case):
     steps = min(len(episode["action"]) for episode in episodes) - 1
     with run.policy(seed=7) as policy:
       for step in range(steps):
-        actions = policy(np.stack([episode["image"][step] for episode in episodes]))
+        actions = policy(np.stack([episode["image"][step] for episode in episodes]), [episode["reward"][step] for episode in episodes],
+                         np.full(3, step == 0))
         self.assertEqual((actions.dtype, list(actions)), (np.int64, [episode["action"][step + 1] for episode in episodes]))
-
-  def test_a_policy_plays_games(self):
-    envs = craftfleet.VectorEnv(3, length=15, autoreset_mode="SameStep")
-    observations, _ = envs.reset(seed=0)
-    with self.finished_run().policy() as policy:
-      actions = policy(observations)
-      for _ in range(40):
-        observations, rewards, terminated, truncated, _ = envs.step(actions)
-        actions = policy(observations, rewards, terminated | truncated)
-        self.assertTrue(((actions >= 0) & (actions < 17)).all())
 
   def test_what_does_not_fit_is_refused(self):
     run = self.finished_run("--agent=cnn_distillation")
@@ -239,14 +262,15 @@ class Policy(Case):
           policy(*arguments)
         self.assertIn(words, str(caught.exception))
       policy(frame)
-      for arguments, words in (((frame,), "cnn_distillation remembers achievements: pass the rewards"),
-                               ((np.stack([frame, frame]), 0), "observations of 2 games, want 1"),
-                               ((frame, [0, 1]), "rewards has shape (2,), want (1,)")):
+      for arguments, words in (((frame, 0), "starts is missing: pass whether an episode begins with the observation, or call reset()"),
+                               ((frame, None, False), "cnn_distillation remembers achievements: pass the rewards"),
+                               ((np.stack([frame, frame]), 0, False), "observations of 2 games, want 1 as before, or a new Policy"),
+                               ((frame, [0, 1], False), "rewards has shape (2,), want (1,)")):
         with self.assertRaises(ValueError) as caught:
           policy(*arguments)
         self.assertIn(words, str(caught.exception))
     with self.assertRaisesRegex(RuntimeError, "the policy is closed"):
-      policy(frame, 0)
+      policy(frame, 0, False)
     (run.folder / "config.txt").unlink()
     for file in (run.folder / "checkpoints").glob("*/weights.safetensors"):
       file.write_bytes(b"")
@@ -268,7 +292,7 @@ class Policy(Case):
     run, frame = self.finished_run(), np.zeros((64, 64, 3), np.uint8)
     policy = run.policy(seed=3)
     with run.policy(seed=3) as alone:
-      expected = [alone(frame) for _ in range(3)]
+      expected = [alone(frame, starts=False) for _ in range(3)]
     actions = [policy(frame)]
     with policy._busy:  # pylint: disable=protected-access  # as in a call of another thread
       with self.assertRaisesRegex(RuntimeError, "another thread is in a call of this Policy"):
@@ -284,7 +308,7 @@ class Policy(Case):
     for clone in (copy.copy, copy.deepcopy, pickle.dumps):
       with self.assertRaisesRegex(TypeError, "a Policy has a process"):
         clone(policy)
-    actions += [policy(frame), policy(frame)]
+    actions += [policy(frame, starts=False), policy(frame, starts=False)]
     self.assertEqual(actions, expected)
     policy.close()
     with run.policy() as policy, self.assertRaisesRegex(ValueError, "observations of 4097 games, want at most 4096"):

@@ -132,7 +132,7 @@ class Lanes(package.PackageCase):
       self.assertEqual(play(started(lanes=13, threads=threads), 100), expected)
 
   def test_arrays_are_allocated_once_and_shared_by_dlpack(self):
-    envs = started()
+    envs = started(copy=False)
     observations, infos = envs.reset()
     found, rewards, *_, later = envs.step(np.zeros(5, int))
     self.assertIs(found, observations)
@@ -146,19 +146,19 @@ class Lanes(package.PackageCase):
 
   def test_who_writes_the_arrays_does_not_change_the_games(self):
     for mode in ("NextStep", "SameStep", "Disabled"):
-      plain, written = started(autoreset_mode=mode), started(autoreset_mode=mode)
+      plain, written = started(autoreset_mode=mode), started(autoreset_mode=mode, copy=False)
       for step in range(1, 12):
         for array in written.step(np.zeros(5, int))[:4]:
           array[...] = step % 2
         plain.step(np.zeros(5, int))
       self.assertEqual(play(written, 1), play(plain, 1))
 
-  def test_copies_are_kept_by_the_next_step(self):
-    envs = started(copy=True)
-    first = envs.step(np.full(5, 1))
-    before = copy.deepcopy(first)
-    play(envs, 30)
-    self.assertTrue(data_equivalence(tuple(first), tuple(before), exact=True))
+  def test_what_calls_return_is_kept_by_the_next_step(self):
+    for envs in (started(), started(autoreset_mode="SameStep", length=1), gymnasium.make_vec(NAME, num_envs=5)):
+      kept = [envs.reset(seed=1), envs.step(np.full(5, 1)), envs.restore(envs.snapshot())]
+      before = copy.deepcopy(kept)
+      play(envs, 30)
+      self.assertTrue(data_equivalence(kept, before, exact=True))
 
   def test_seeds_are_numbers_lists_or_random(self):
     listed = started(seed=[7, 8, 9, 10, 11])
@@ -211,7 +211,7 @@ class Lanes(package.PackageCase):
       shutil.copytree(python_case.SOURCE / "envserver/textures", f"{folder}/art")
       with contextlib.chdir(folder):
         envs = craftfleet.VectorEnv(2, textures="art")
-      observations = envs.reset(seed=0)[0].copy()
+      observations = envs.reset(seed=0)[0]
       self.assertEqual(copy.copy(envs).reset(seed=0)[0].tobytes(), observations.tobytes())
 
   def test_masks_of_infos_cannot_be_written(self):
@@ -258,6 +258,7 @@ class Lanes(package.PackageCase):
         (ValueError, "reset_mask [1, 0], want a NumPy array", lambda: envs.reset(options={"reset_mask": [1, 0]})),
         (TypeError, "options [1], want a dict", lambda: envs.reset(options=[1])),
         (ValueError, "1 snapshots, want one for each of 5 lanes", lambda: envs.restore([b""])),
+        (TypeError, "snapshots of type bytes, want a list with one for each of 5 lanes", lambda: envs.restore(before[0])),
         (ValueError, "lane 0: snapshot: cut, damaged", lambda: envs.restore([b""] * 5)),
         (TypeError, "snapshots[0] of type bytearray, want bytes", lambda: envs.restore([bytearray(before[0])] * 5)),
     ):

@@ -2,15 +2,28 @@
 
     from craftfleet import analysis
     runs = analysis.load("runs")                       # a DataFrame with a row for each run
-    analysis.episodes(runs["run"][0], "eval_sampled")  # and one with a row for each episode
+    analysis.episodes("runs/first", "eval_sampled")    # and one with a row for each episode
 
 The commands need the programs of CraftFleet (CRAFTFLEET_BIN or PATH) to understand configurations and checkpoints.
 """
 
+from __future__ import annotations
 
-def __getattr__(name: str):
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+  from .runs import Run, episodes, load, read_runs
+
+__all__ = ["Run", "episodes", "load", "read_runs"]
+
+
+def __getattr__(name: str) -> Any:
   # craftfleet sweep works where NumPy and pandas are not installed.
-  if name in ("Run", "episodes", "load", "read_runs"):
+  if name in __all__:
     from . import runs  # pylint: disable=import-outside-toplevel
     return getattr(runs, name)
   raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+  return [*globals(), *__all__]

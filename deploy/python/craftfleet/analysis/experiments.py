@@ -127,6 +127,8 @@ def _axis(table: object) -> Axis:
 
 
 def _used_axis(axes: dict[str, Axis], use: object) -> Axis:
+  if isinstance(use, str):
+    raise Refusal(f'axes: "{use}", want {{ axis = "{use}" }}')
   fields = _fields("axes", use, {"axis": str, "only": list})
   name = fields.get("axis", "")
   if name not in axes:

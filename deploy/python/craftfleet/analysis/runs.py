@@ -18,6 +18,8 @@ import re
 import warnings
 import zipfile
 import zlib
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,6 +31,9 @@ except ImportError:  # a Python without it can read no results, but play
 from . import programs
 from ._cli import Refusal, read_text, reason, replace_file
 from .logs import ACHIEVEMENTS, NO_EPISODES, Curve, Episodes, find_log, read_log
+
+if TYPE_CHECKING:
+  import pandas
 
 LOGS = ("stats", "eval_argmax", "eval_sampled", "final_argmax", "final_sampled")
 SUFFIX = ".npz"
@@ -307,21 +312,38 @@ def read_curve(path: str) -> Curve:
 # For notebooks.
 
 # Measures have the names of those in runs.csv of a report. Without a run there are these, too.
-_COLUMNS = ("folder", "agent", "env", "eval_env", "seed", "steps", "complete", "train", "eval", "eval_argmax", "reward",
-            "reward_last100", "unlocked", "run")
+_MEASURES = ("train", "eval", "eval_argmax", "final", "final_argmax", "reward", "reward_last100", "unlocked")
+_COLUMNS = ("folder", "agent", "env", "eval_env", "seed", "steps", "complete", *_MEASURES, "run")
 
 
-def load(*folders: str | os.PathLike[str]):
+def _found(paths: Sequence[str | os.PathLike[str] | Run]) -> tuple[list[Run], list[str]]:
+  """Those that are runs, and the runs in and below the others; as read_runs.   FileNotFoundError: a folder does not exist."""
+  try:
+    runs, unreadable = read_runs([os.path.expanduser(path) for path in paths if not isinstance(path, Run)])
+  except Refusal as error:
+    raise FileNotFoundError(str(error)) from None
+  return [path for path in paths if isinstance(path, Run)] + runs, unreadable
+
+
+def load(*folders: str | os.PathLike[str] | Run | list) -> pandas.DataFrame:
   """A pandas.DataFrame with a row for each run in and below `folders`: its settings and scores; NaN: no such episodes.
+
+  Folders may also be result files, runs (craftfleet.Run, analysis.Run), and lists of all these. The columns:
+    folder, agent, env, seed: of the run. eval_env: the environment of its evaluations.
+    steps: done so far. complete: whether it has done all.
+    train: Crafter's score, 0..100, of all training episodes.
+    eval, eval_argmax: of the evaluations during training, with sampled and with the most probable actions.
+    final, final_argmax: of the evaluation at the end.
+    reward, reward_last100: the mean of all training episodes, and of the last 100.
+    unlocked: achievements that training episodes have unlocked, of 22.
+    run: the analysis.Run, for episodes().
 
   A run that cannot be read is left out with a warning.   FileNotFoundError: a folder does not exist.
   """
   import pandas as pd  # pylint: disable=import-outside-toplevel
   from .results import MEASURES  # pylint: disable=import-outside-toplevel
-  try:
-    runs, unreadable = read_runs([os.path.expanduser(folder) for folder in folders])
-  except Refusal as error:
-    raise FileNotFoundError(str(error)) from None
+  given = [one for folder in folders for one in (folder if isinstance(folder, list) else [folder])]
+  runs, unreadable = _found(given)
   for problem in unreadable:
     warnings.warn(f"left out: {problem}", stacklevel=2)
 
@@ -331,16 +353,27 @@ def load(*folders: str | os.PathLike[str]):
 
   table = [{
       "folder": run.folder, "agent": run.agent, "env": run.env, "eval_env": run.eval_env or run.env, "seed": run.seed,
-      "steps": run.steps, "complete": run.complete, "train": value(run, "train"), "eval": value(run, "eval"),
-      "eval_argmax": value(run, "eval_argmax"), "reward": value(run, "reward"), "reward_last100": value(run, "reward_last100"),
-      "unlocked": value(run, "unlocked"), "run": run} for run in runs]
+      "steps": run.steps, "complete": run.complete, **{measure: value(run, measure) for measure in _MEASURES}, "run": run}
+      for run in runs]
   return pd.DataFrame(table, columns=_COLUMNS)
 
 
-def episodes(run: Run, log: str = "stats"):
-  """A pandas.DataFrame with a row for each episode of a log of the run."""
+def episodes(run: Run | str | os.PathLike[str], log: str = "stats") -> pandas.DataFrame:
+  """A pandas.DataFrame with a row for each episode of a log of the run: its length, reward, and count of each achievement.
+
+  Args:
+    run: as of load(), the path of one run.
+    log: "stats" (training), "eval_sampled" or "eval_argmax" (during training), "final_sampled" or "final_argmax" (at its end).
+
+  ValueError: not one run that can be read, or no such log; FileNotFoundError: no such folder.
+  """
   import pandas as pd  # pylint: disable=import-outside-toplevel
-  of_run = run.logs[log]
+  if log not in LOGS:
+    raise ValueError(f"log {log!r}, want one of {', '.join(LOGS)}")
+  runs, unreadable = _found([run])
+  if len(runs) != 1:
+    raise ValueError(unreadable[0] if unreadable else f"{os.fspath(run)}: {len(runs)} runs, want one")
+  of_run = runs[0].logs[log]
   table = pd.DataFrame(of_run.counts, columns=list(ACHIEVEMENTS))
   table.insert(0, "reward", of_run.tenths / 10)
   table.insert(0, "length", of_run.length)
