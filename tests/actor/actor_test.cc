@@ -2,7 +2,6 @@
 
 #include "actor/actor.h"
 
-#include <algorithm>
 #include <memory>
 #include <string>
 #include <thread>
@@ -19,6 +18,7 @@
 #include "tests/actor/stand_in_learner.h"
 #include "tests/fakes/env_server.h"
 #include "tests/fakes/failing_once_service.h"
+#include "tests/fakes/metric_of.h"
 #include "tests/fakes/played_game.h"
 #include "tests/fakes/sample_policy.h"
 #include "tests/fakes/status_matchers.h"
@@ -60,10 +60,7 @@ class RunningActor {
   double Metric(const std::string& name) const {
     v1::StatusReply reply;
     actor_->FillStatus(&reply);
-    for (const v1::Metric& metric : reply.metrics()) {
-      if (metric.name() == name) return metric.value();
-    }
-    return -1;
+    return MetricOf(reply, name);
   }
 
  private:
@@ -133,10 +130,12 @@ class Reference {
   std::vector<std::unique_ptr<PlayedGame>> games_;
 };
 
-class ActorTest : public testing::TestWithParam<std::string> {
+class ActorTest : public testing::Test {
  protected:
+  explicit ActorTest(std::string agent = "ppo_cnn") : agent_(std::move(agent)) {}
+
   std::unique_ptr<StandInLearner> MakeLearner(const std::string& texture_digest = "") const {
-    return std::make_unique<StandInLearner>(GetParam(), LearnerAddress(), 1, NewLanes(GetParam()), texture_digest);
+    return std::make_unique<StandInLearner>(agent_, LearnerAddress(), 1, NewLanes(agent_), texture_digest);
   }
   std::string LearnerAddress() const { return "unix:" + (folder_ / "learner"); }
   // Expects the iteration's fragments to equal those of the reference.
@@ -151,13 +150,19 @@ class ActorTest : public testing::TestWithParam<std::string> {
     }
   }
 
+  const std::string agent_;
   const TempFolder folder_;
   EnvServer env_;
-  Reference reference_{GetParam()};
+  Reference reference_{agent_};
   std::unique_ptr<StandInLearner> learner_ = MakeLearner();
 };
 
-TEST_P(ActorTest, SendsTheGamesThatItPlayed) {
+class ActorOfEachKind : public ActorTest, public testing::WithParamInterface<std::string> {
+ protected:
+  ActorOfEachKind() : ActorTest(GetParam()) {}
+};
+
+TEST_P(ActorOfEachKind, SendsTheGamesThatItPlayed) {
   RunningActor actor(learner_->Connect(), {env_.Connect()});
   for (int64_t iteration = 0; iteration < 3; ++iteration) {
     learner_->Open(iteration);
@@ -168,7 +173,7 @@ TEST_P(ActorTest, SendsTheGamesThatItPlayed) {
   EXPECT_EQ(actor.Metric("fragments_abandoned"), 0);
 }
 
-TEST_P(ActorTest, ManyActorsProduceTheFragmentsOfOne) {
+TEST_P(ActorOfEachKind, ManyActorsProduceTheFragmentsOfOne) {
   const EnvServer second;
   RunningActor a(learner_->Connect(), {env_.Connect(), second.Connect()}, 2);
   RunningActor b(learner_->Connect(), {second.Connect()});
@@ -179,7 +184,7 @@ TEST_P(ActorTest, ManyActorsProduceTheFragmentsOfOne) {
   }
 }
 
-TEST_P(ActorTest, LeavesWhenTheRunIsOver) {
+TEST_F(ActorTest, LeavesWhenTheRunIsOver) {
   RunningActor actor(learner_->Connect(), {env_.Connect()});
   ASSERT_TRUE(WaitUntil([this] { return learner_->registry().Actors().size() == 1; }));
   learner_->registry().Finish();
@@ -187,7 +192,7 @@ TEST_P(ActorTest, LeavesWhenTheRunIsOver) {
   EXPECT_THAT(learner_->registry().Actors(), IsEmpty());
 }
 
-TEST_P(ActorTest, AStoppedActorReturnsItsLanes) {
+TEST_P(ActorOfEachKind, AStoppedActorReturnsItsLanes) {
   auto first = std::make_unique<RunningActor>(learner_->Connect(), std::vector<wire::Endpoint>{env_.Connect()});
   learner_->Open(0);
   ExpectIteration(learner_.get(), 0);
@@ -201,7 +206,7 @@ TEST_P(ActorTest, AStoppedActorReturnsItsLanes) {
 }
 
 // No lease lapses within the test (kLease).
-TEST_P(ActorTest, OtherActorsContinueTheLanesOfAStoppedActorAtOnce) {
+TEST_F(ActorTest, OtherActorsContinueTheLanesOfAStoppedActorAtOnce) {
   learner_->registry().OpenIteration(1000 * kFragmentsPerIteration, 0);
   RunningActor first(learner_->Connect(), {env_.Connect()});
   RunningActor second(learner_->Connect(), {env_.Connect()});
@@ -215,7 +220,7 @@ TEST_P(ActorTest, OtherActorsContinueTheLanesOfAStoppedActorAtOnce) {
   EXPECT_EQ(learner_->registry().lanes()->table().counters.lapsed, 0);
 }
 
-TEST_P(ActorTest, ANewActorGetsItsShareWithin2Seconds) {
+TEST_F(ActorTest, ANewActorGetsItsShareWithin2Seconds) {
   learner_->registry().OpenIteration(1000 * kFragmentsPerIteration, 0);
   learner_->Publish(0);
   RunningActor first(learner_->Connect(), {env_.Connect()});
@@ -227,7 +232,7 @@ TEST_P(ActorTest, ANewActorGetsItsShareWithin2Seconds) {
 }
 
 // A hanging learner must not delay the stop.
-TEST_P(ActorTest, StopsWhileItWaitsForWeights) {
+TEST_F(ActorTest, StopsWhileItWaitsForWeights) {
   learner_->registry().OpenIteration(kFragmentsPerIteration, 0);  // with weights that are never published
   RunningActor actor(learner_->Connect(), {env_.Connect()});
   ASSERT_TRUE(WaitUntil([this] { return learner_->OutstandingPermits() == std::vector<int>{4}; }));
@@ -237,7 +242,7 @@ TEST_P(ActorTest, StopsWhileItWaitsForWeights) {
   EXPECT_LT(absl::Now() - start, absl::Seconds(3));
 }
 
-TEST_P(ActorTest, AnExceptionInAnEnvironmentServerCostsOnlyAFragment) {
+TEST_P(ActorOfEachKind, AnExceptionInAnEnvironmentServerCostsOnlyAFragment) {
   FailingOnceService failing(env_.service.get(), 5);  // at the third step
   const auto server = *wire::Server::Create({"127.0.0.1:0"}, {&failing});
   RunningActor actor(learner_->Connect(), {wire::Connect(server->address())});
@@ -250,7 +255,7 @@ TEST_P(ActorTest, AnExceptionInAnEnvironmentServerCostsOnlyAFragment) {
 }
 
 // Otherwise games of lanes that other actors now play would stay open forever.
-TEST_P(ActorTest, ClosesTheGamesOfLanesThatOthersPlay) {
+TEST_P(ActorOfEachKind, ClosesTheGamesOfLanesThatOthersPlay) {
   EnvServer of_first;
   RunningActor first(learner_->Connect(), {of_first.Connect()});
   learner_->Open(0);
@@ -267,7 +272,7 @@ TEST_P(ActorTest, ClosesTheGamesOfLanesThatOthersPlay) {
   EXPECT_EQ(status.peers(0).state(), "2 lanes");
 }
 
-TEST_P(ActorTest, ContinuesWhenAnEnvironmentServerStops) {
+TEST_P(ActorOfEachKind, ContinuesWhenAnEnvironmentServerStops) {
   const EnvServer second;
   RunningActor actor(learner_->Connect(), {env_.Connect(), second.Connect()});
   learner_->Open(0);
@@ -278,7 +283,7 @@ TEST_P(ActorTest, ContinuesWhenAnEnvironmentServerStops) {
   EXPECT_GT(actor.Metric("fragments_abandoned"), 0);
 }
 
-TEST_P(ActorTest, ContinuesAfterTheLearnerRestarts) {
+TEST_P(ActorOfEachKind, ContinuesAfterTheLearnerRestarts) {
   RunningActor actor(learner_->Connect(), {env_.Connect()});
   learner_->Open(0);
   ExpectIteration(learner_.get(), 0);
@@ -286,34 +291,32 @@ TEST_P(ActorTest, ContinuesAfterTheLearnerRestarts) {
   learner_->Open(1);
   ASSERT_TRUE(learner_->fragments().Pop(absl::Minutes(1)).has_value()) << "in the middle of the iteration";
   learner_.reset();
-  learner_ = std::make_unique<StandInLearner>(GetParam(), LearnerAddress(), 2, checkpoint);
+  learner_ = std::make_unique<StandInLearner>(agent_, LearnerAddress(), 2, checkpoint);
   learner_->Open(1);
   ExpectIteration(learner_.get(), 1, 2);
 }
 
-TEST_P(ActorTest, ALearnerThatRestartsDoesNotWaitForAnEvaluationOfItsFormerStart) {
+TEST_F(ActorTest, ALearnerThatRestartsDoesNotWaitForAnEvaluationOfItsFormerStart) {
   constexpr int kMany = 10'000;
-  const auto weights = std::make_shared<const HostWeights>(SampleWeights(0, GetParam()));
+  const auto weights = std::make_shared<const HostWeights>(SampleWeights(0, agent_));
   const auto evaluation = [&](int episodes) { return Evaluation{1, 0, 1, episodes, /*final=*/true, weights}; };
   const auto episodes_played = [this] {
     v1::StatusReply status;
     env_.service->FillStatus(&status);
-    const auto metric = std::find_if(status.metrics().begin(), status.metrics().end(),
-                                     [](const v1::Metric& m) { return m.name() == "episodes"; });
-    return metric->value();
+    return MetricOf(status, "episodes");
   };
   learner_->registry().AddEvaluation(evaluation(kMany));
   RunningActor actor(learner_->Connect(), {env_.Connect()});
   ASSERT_TRUE(WaitUntil([&] { return episodes_played() > 0; }));
   learner_.reset();
-  learner_ = std::make_unique<StandInLearner>(GetParam(), LearnerAddress(), 2, NewLanes(GetParam()));
+  learner_ = std::make_unique<StandInLearner>(agent_, LearnerAddress(), 2, NewLanes(agent_));
   learner_->registry().AddEvaluation(evaluation(1));
   EXPECT_TRUE(WaitUntil([this] { return learner_->registry().evaluations()->FrontFinished(); }));
   EXPECT_LT(episodes_played(), kMany) << "the former one was dropped";
 }
 
 // Its lanes must not have to wait until it can play.
-TEST_P(ActorTest, AnActorThatCannotPlayLetsOthersPlay) {
+TEST_F(ActorTest, AnActorThatCannotPlayLetsOthersPlay) {
   wire::Endpoint gone;
   {
     const EnvServer server;
@@ -332,7 +335,7 @@ TEST_P(ActorTest, AnActorThatCannotPlayLetsOthersPlay) {
   EXPECT_EQ(unable.Metric("fragments_accepted"), 0);
 }
 
-TEST_P(ActorTest, WaitsForALearnerThatIsNotRunningYet) {
+TEST_F(ActorTest, WaitsForALearnerThatIsNotRunningYet) {
   learner_.reset();
   RunningActor actor(wire::Connect(LearnerAddress()), {env_.Connect()});
   absl::SleepFor(absl::Milliseconds(300));
@@ -341,7 +344,7 @@ TEST_P(ActorTest, WaitsForALearnerThatIsNotRunningYet) {
   ExpectIteration(learner_.get(), 0);
 }
 
-TEST_P(ActorTest, StopsWhileItWaitsForALearner) {
+TEST_F(ActorTest, StopsWhileItWaitsForALearner) {
   learner_.reset();
   RunningActor actor(wire::Connect(LearnerAddress()), {env_.Connect()});
   absl::SleepFor(absl::Milliseconds(100));
@@ -351,7 +354,7 @@ TEST_P(ActorTest, StopsWhileItWaitsForALearner) {
   EXPECT_LT(absl::Now() - start, absl::Seconds(6));
 }
 
-TEST_P(ActorTest, EndsWhenTheTexturesDiffer) {
+TEST_F(ActorTest, EndsWhenTheTexturesDiffer) {
   learner_.reset();
   learner_ = MakeLearner("0123456789abcdef");
   RunningActor actor(learner_->Connect(), {env_.Connect()});
@@ -360,7 +363,7 @@ TEST_P(ActorTest, EndsWhenTheTexturesDiffer) {
                                      AllOf(HasSubstr(env_.server->address()), HasSubstr("0123456789abcdef"))));
 }
 
-INSTANTIATE_TEST_SUITE_P(Actor, ActorTest, testing::Values("ppo_cnn", "lstm_cnn"),
+INSTANTIATE_TEST_SUITE_P(Actor, ActorOfEachKind, testing::Values("ppo_cnn", "lstm_cnn"),
                          [](const auto& info) { return info.param; });
 
 TEST(ActorOptions, AreCheckedByName) {

@@ -20,7 +20,7 @@
 #include "actor/env_pool.h"
 #include "actor/error_policy.h"
 #include "common/config/known_canary.h"
-#include "tests/fakes/empty_replies_service.h"
+#include "tests/fakes/echo_service.h"
 #include "tests/fakes/env_server.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/wait_until.h"
@@ -39,7 +39,7 @@ constexpr absl::Duration kTimeout = absl::Seconds(2);
 // Forwards a real server's replies, modified by the test.
 class TwistingService : public v1::EnvironmentService::Service {
  public:
-  // Modifies a reply; returns false to send none.
+  // Modifies a reply; returns false to send none. May throw, which gRPC reports as an error.
   using Twist = std::function<bool(const v1::PlayRequest&, v1::PlayReply*)>;
 
   TwistingService(EnvServiceImpl* real, Twist twist) : real_(real), twist_(std::move(twist)) {}
@@ -348,31 +348,19 @@ TEST_F(BadEnvServer, CancelEndsAWaitingCall) {
   EXPECT_TRUE(absl::IsCancelled(OpenFour()));
 }
 
-// Throws in the middle of a game, which gRPC reports as an error.
-class ThrowingService : public v1::EnvironmentService::Service {
- public:
-  grpc::Status Play(grpc::ServerContext* /*context*/,
-                    grpc::ServerReaderWriter<v1::PlayReply, v1::PlayRequest>* stream) override {
-    v1::PlayRequest request;
-    stream->Read(&request);
-    stream->Write({});
-    stream->Read(&request);
-    throw std::runtime_error("out of pixels");
-  }
-};
-
-TEST(ThrowingEnvServer, IsATransientError) {
-  ThrowingService service;
-  const auto server = *wire::Server::Create({"127.0.0.1:0"}, {&service});
-  EnvPool pool(std::make_shared<EnvDirectory>(std::vector<wire::Endpoint>{wire::Connect(server->address())}),
-               SampleHello(50), kFrameBytes);
-  const absl::Status status = pool.Open({{0, 100, 1, ""}}).status();
-  EXPECT_THAT(status, StatusIs(absl::StatusCode::kUnavailable, HasSubstr(server->address())));
+TEST_F(BadEnvServer, AnExceptionIsATransientError) {
+  const auto twist = [](const v1::PlayRequest& request, v1::PlayReply*) {
+    if (request.has_open()) throw std::runtime_error("out of pixels");
+    return true;
+  };
+  Start(twist, /*alone=*/true);
+  const absl::Status status = OpenFour();
+  EXPECT_THAT(status, StatusIs(absl::StatusCode::kUnavailable, HasSubstr(server_->address())));
   EXPECT_TRUE(IsTransient(CallKind::kSession, status));
 }
 
 TEST(CanarylessEnvServer, IsRefusedIfACanaryIsRequired) {
-  EmptyRepliesService service;  // its hello has no canary
+  wire::EchoService service;  // its hello has no canary
   const auto server = *wire::Server::Create({"127.0.0.1:0"}, {&service});
   v1::SessionHello hello = SampleHello(50);
   EnvClient any(wire::Connect(server->address()), hello, kFrameBytes);

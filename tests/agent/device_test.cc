@@ -125,10 +125,13 @@ TEST(ChooseActingDevice, IsWhatTheRunActsOn) {
   }
 }
 
-TEST(FindActingDevice, SaysThatLibTorchLacksCudaOnlyWhereTheRunActsOnGpus) {
+TEST(FindActingDevice, RefusesAGpuWhereTheRunActsOnCpus) {
   EXPECT_THAT(FindActingDevice("cuda", v1::RunConfig::CPU),
               StatusIs(absl::StatusCode::kFailedPrecondition, testing::EndsWith("want --device=auto or cpu")));
-  if (at::hasCUDA()) return;
+}
+
+TEST(FindActingDevice, SaysThatLibTorchLacksCudaWhereTheRunActsOnGpus) {
+  if (at::hasCUDA()) GTEST_SKIP() << "this LibTorch has CUDA";
   EXPECT_THAT(FindActingDevice("cuda", v1::RunConfig::CUDA),
               StatusIs(absl::StatusCode::kFailedPrecondition,
                        AllOf(HasSubstr("--device=cuda: LibTorch was built without CUDA"), Not(HasSubstr("=cpu")))));

@@ -5,6 +5,7 @@ import os
 import pathlib
 import shutil
 import sys
+import tempfile
 import unittest
 
 SYSTEM_PYTHON = "/usr/bin/python3"  # has Debian's Selenium, whichever Python comes first
@@ -73,7 +74,20 @@ return [...document.querySelectorAll("body *")].filter((element) => {
 
 
 def open_browser(case):
-  """A browser for the test `case`, closed at its end. Skips the test if it is not installed."""
+  """The browser of the class of the test `case`, with an empty page. Skips the test if it is not installed."""
+  kind = type(case)
+  if not hasattr(kind, "browser"):
+    kind.browser = _start(kind)
+  driver = kind.browser
+  driver.get("about:blank")
+  driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+  driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+  errors(driver)  # those of the test before
+  return driver
+
+
+def _start(kind):
+  """A browser that is closed after the last test of the class `kind`."""
   driver_path = shutil.which("chromedriver")
   if importlib.util.find_spec("selenium") is None or driver_path is None or shutil.which("chromium") is None:
     raise unittest.SkipTest("Chromium or Selenium is missing, want: deploy/install-deps.sh --tests")
@@ -81,13 +95,15 @@ def open_browser(case):
   from selenium.webdriver.chrome.service import Service  # pylint: disable=import-outside-toplevel
   options = webdriver.ChromeOptions()
   options.binary_location = shutil.which("chromium")
+  profile = tempfile.TemporaryDirectory(prefix="craftfleet-chromium-")  # pylint: disable=consider-using-with
+  kind.addClassCleanup(profile.cleanup)
   for argument in ["--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu", "--no-first-run",
-                   f"--user-data-dir={case.folder}/chromium"]:
+                   f"--user-data-dir={profile.name}"]:
     options.add_argument(argument)
   options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
   options.set_capability("acceptInsecureCerts", True)
   driver = webdriver.Chrome(service=Service(driver_path), options=options)
-  case.addCleanup(driver.quit)
+  kind.addClassCleanup(driver.quit)
   driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": COUNT_SHIFTS})
   return driver
 

@@ -6,9 +6,8 @@ import signal
 import subprocess
 
 from tests.fakes import python_case
-from tests.fakes.python_case import built, wait_until
+from tests.fakes.python_case import ENDLESS, built, wait_until
 
-ENDLESS = python_case.SMALL_RUN.replace("steps: 192 ", "steps: 1000000000 ")
 EXPERIMENT = python_case.SMALL_EXPERIMENT.replace("steps = 192", "steps = 1000000000")
 
 
@@ -28,12 +27,8 @@ class Endings(python_case.FolderCase):
     self.addCleanup(process.kill)
     return process
 
-  def run_flags(self, run="run"):
-    return [f"--config={self.folder}/config.txt", f"--logdir={self.folder}/{run}"]
-
-  def wait_for_checkpoint(self, run="run", iteration=1):
-    checkpoints = self.folder / run / "checkpoints"
-    wait_until(lambda: list(checkpoints.glob(f"iter-0*{iteration}")), f"checkpoint {iteration} of {run}")
+  def run_flags(self):
+    return [f"--config={self.folder}/config.txt", f"--logdir={self.folder}/run"]
 
   def wait_for_text(self, text):
     wait_until(lambda: text in self.errors.read_text(), f"'{text}' in {self.errors}")
@@ -51,15 +46,9 @@ class Endings(python_case.FolderCase):
     train.send_signal(signal.SIGHUP)  # the shell and the kernel both send it
     self.assertEqual(train.wait(20), 0, self.errors.read_text())
     self.assertIn("stopped; continue with --resume", self.errors.read_text())
+    self.assertNotIn("trying again", self.errors.read_text())
     last = max(int(path.name.partition("-")[2]) for path in (self.folder / "run/checkpoints").iterdir())
     self.assertGreaterEqual(last, 50 * 20 // 64)
-
-  def test_hangup_stops_a_learner(self):
-    learner = self.start("craftfleet-learner", *self.run_flags(), "--listen=127.0.0.1:0")
-    self.wait_for_text("listening on")
-    learner.send_signal(signal.SIGHUP)
-    self.assertEqual(learner.wait(20), 0, self.errors.read_text())
-    self.assertIn("stopped; continue with --resume", self.errors.read_text())
 
   def test_hangup_stops_workers(self):
     server = self.start("craftfleet-envserver", "--listen=127.0.0.1:0")
@@ -108,14 +97,11 @@ class Endings(python_case.FolderCase):
     return line
 
   def test_a_run_without_a_reader_continues(self):
-    for log in ("text", "json"):
-      with self.subTest(log):
-        train = self.start("craftfleet train", *self.run_flags(log), "--steps=1280", f"--log_format={log}",
-                           stdout=subprocess.PIPE)
-        self.wait_for_checkpoint(log, 2)
-        train.stdout.close()
-        self.assertEqual(train.wait(60), 0, self.errors.read_text())
-        self.assertIn("the run is complete", self.errors.read_text())
+    train = self.start("craftfleet train", *self.run_flags(), "--steps=1280", stdout=subprocess.PIPE)
+    wait_until((self.folder / "run/checkpoints/iter-00000002").exists, "checkpoint 2")
+    train.stdout.close()
+    self.assertEqual(train.wait(60), 0, self.errors.read_text())
+    self.assertIn("the run is complete", self.errors.read_text())
 
   def test_a_fleet_without_readers_continues(self):
     learner = self.start("craftfleet-learner", *self.run_flags(), "--steps=1280", "--listen=127.0.0.1:0",

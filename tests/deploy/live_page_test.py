@@ -10,7 +10,7 @@ from tests.deploy import browser
 from tests.fakes import python_case
 from tests.fakes.python_case import SOURCE, wait_until
 
-ENDLESS = python_case.SMALL_RUN.replace("steps: 192 ", "steps: 100000000 ").replace("length: 20", "length: 200")
+LONG_GAMES = python_case.ENDLESS.replace("length: 20", "length: 200")
 LOOKS = [(390, False), (390, True), (1440, False), (1440, True)]
 TEXT = "return document.getElementById(arguments[0]).textContent"
 
@@ -19,7 +19,7 @@ class LivePage(python_case.ProcessCase):
 
   def start_run(self, program="craftfleet train", *flags):
     """Starts an endless run with a page; returns the page's URL and the log."""
-    (self.folder / "config.txt").write_text(ENDLESS)
+    (self.folder / "config.txt").write_text(LONG_GAMES)
     _, log = self.start(program, f"--config={self.folder}/config.txt", f"--logdir={self.folder}/run", "--threads=1",
                         "--http_listen=127.0.0.1:0", *flags)
     return self.word_after(log, "live page on "), log

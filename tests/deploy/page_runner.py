@@ -9,11 +9,10 @@ import os
 import pathlib
 import re
 import signal
-import socket
 import subprocess
 import time
 
-from tests.fakes.python_case import BIN, SMALL_RUN, SOURCE
+from tests.fakes.python_case import BIN, SMALL_RUN, SOURCE, free_port
 from tests.fakes.screens import Display, Tmux
 
 # name of a program -> a shell command that runs the real one, $REAL, with the arguments of the page, "$@".
@@ -35,12 +34,6 @@ exec "$REAL" "$@"
 SERVES = re.compile(r"(build/bin/craftfleet-(learner|actor|envserver)|deploy/local-fleet\.sh) ")
 SHOWS = re.compile(r"build/bin/craftfleet (watch|play)(?!.*--(video|strip)=)")
 ASKS = re.compile(r"build/bin/craftfleet (status|top|admin) ")  # queries to a fleet that may still be starting
-
-
-def free_port():
-  with socket.socket() as listener:
-    listener.bind(("127.0.0.1", 0))
-    return listener.getsockname()[1]
 
 
 class PageRunner:

@@ -12,7 +12,7 @@ import subprocess
 import sys
 import tempfile
 
-from tests.fakes.python_case import wait_until
+from tests.fakes.python_case import free_port, wait_until
 
 PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch", "srun", "squeue", "scontrol", "sinfo")
 PATH = "/usr/sbin:/usr/bin:/sbin:/bin"
@@ -62,12 +62,6 @@ def why_not():
   except OSError:
     return f"the name of this host, {socket.gethostname()}, has no address"
   return "" if os.geteuid() == 0 else "slurmd needs root"
-
-
-def free_port():
-  with socket.socket() as listener:
-    listener.bind(("127.0.0.1", 0))
-    return listener.getsockname()[1]
 
 
 class SlurmCluster:

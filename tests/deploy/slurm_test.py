@@ -11,6 +11,7 @@ SCRIPT = SOURCE / "deploy/slurm/fleet.sbatch"
 PARTS = ["--cpus-per-task=1", "--mem-per-cpu=500", ":", "--ntasks=2", "--mem-per-cpu=500", ":", "--ntasks=2", "--mem-per-cpu=500"]
 TWO_LEARNERS = ["--ntasks=2", "--cpus-per-task=1", "--mem-per-cpu=500", ":", "--ntasks=1", "--mem-per-cpu=500", ":", "--ntasks=1", "--mem-per-cpu=500"]
 ENDS = ("COMPLETED", "FAILED", "CANCELLED", "TIMEOUT", "NODE_FAIL", "OUT_OF_MEMORY")
+ODD = 'größe 50% b, 9%j "q"'  # of a folder
 EXPERIMENTS = python_case.SMALL_EXPERIMENT.replace('name = "small"', 'name = "small"\naxes = [{ axis = "gamma" }]') + """
 [[axes]]
 name = "gamma"
@@ -71,11 +72,13 @@ class Slurm(python_case.FolderCase):
     self.assertEqual((self.logdir / "stats.jsonl").read_bytes(), (alone / "stats.jsonl").read_bytes())
 
   def test_a_fleet_of_three_components_gives_the_bytes_of_one_process(self):
+    self.logdir = self.folder / ODD / "fleet 9%A"  # which is in options of Slurm
     job = self.submit_fleet(steps=192)
     self.expect_state(job, "COMPLETED")
     self.assertIn("2 actors, 2 environment servers", self.job_log())
     self.assertIn("the run is complete", self.job_log())
     self.assertNotIn("--insecure", self.job_log())
+    self.assertTrue(list(self.logdir.glob("fleet/*.learner.log")))
     self.assertFalse((self.logdir / "fleet/tls/ca.key").exists())
     self.expect_bytes_of_one_process(steps=192)
 
@@ -139,18 +142,14 @@ class Slurm(python_case.FolderCase):
                             f"--logdir={self.folder}/{runs}", "--jobs=10", "--slurm_flags=--mem-per-cpu=400 --parsable", *flags,
                             check=check)
 
-  def test_folders_may_have_odd_names(self):
-    """The log folders of a sweep and of a fleet, which are in directives and options of Slurm."""
-    odd = 'größe 50% b, 9%j "q"'
+  def test_the_folder_of_a_sweep_may_have_an_odd_name(self):
+    """It is in directives of Slurm."""
     (self.folder / "experiments.toml").write_text(EXPERIMENTS)
-    job = self.sweep("--run=small/gamma=0.9/seed1", runs=odd).stdout.split()[-1]
+    job = self.sweep("--run=small/gamma=0.9/seed1", runs=ODD).stdout.split()[-1]
     wait_until(lambda: self.cluster.run("squeue", "-h").stdout == "", "an empty queue", seconds=200)
-    log = self.folder / odd / f"slurm/{job}_0.log"
+    log = self.folder / ODD / f"slurm/{job}_0.log"
     self.assertTrue(log.exists(), [str(path) for path in self.folder.rglob("*.log")] + [self.cluster.logs()])
     self.assertIn("done: small/gamma=0.9/seed1", log.read_text())
-    self.logdir = self.folder / odd / "fleet 9%A"
-    self.expect_state(self.submit_fleet(steps=192), "COMPLETED")
-    self.assertTrue(list(self.logdir.glob("fleet/*.learner.log")))
     refused = self.sweep(runs="9%A", check=False)
     self.assertEqual(refused.returncode, 1)
     self.assertIn("want a folder without %A and %a", refused.stderr)

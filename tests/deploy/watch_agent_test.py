@@ -105,8 +105,13 @@ class WatchAgent(python_case.FolderCase):
     self.assertRegex(ended.stderr, "cannot open (a window|windows)")
 
   def test_an_unwritable_video_leaves_nothing(self):
-    ended = self.run_program("craftfleet watch", f"--video={self.folder}/no/folder.mp4", str(self.train()), code=1)
-    self.assertIn("no/folder.mp4", ended.stderr)
+    run = self.train()
+    (self.folder / "folder.mp4").mkdir()
+    for video in ("no/video.mp4", "folder.mp4"):
+      ended = self.run_program("craftfleet watch", f"--video={self.folder}/{video}", str(run), code=1)
+      self.assertIn("--video: ", ended.stderr)
+      self.assertIn(video, ended.stderr)
+    self.assertEqual(list(self.folder.glob(".*.mp4")), [])
 
   def test_an_unwritable_strip_is_reported_before_the_episode(self):
     # The agent has no attention, which the episode's first frame shows.

@@ -10,6 +10,7 @@ import os
 import pathlib
 import re
 import shutil
+import socket
 import subprocess
 import sys
 import tempfile
@@ -29,7 +30,10 @@ checkpoint { every_iterations: 1  keep: 20 }
 eval { every_steps: 0  final_episodes: 0 }
 """
 
-# The same as an experiment with a single cell.
+# The same, which does not end during a test.
+ENDLESS = SMALL_RUN.replace("steps: 192 ", "steps: 1000000000 ")
+
+# The small run as an experiment with a single cell.
 SMALL_EXPERIMENT = """
 [[experiments]]
 name = "small"
@@ -108,6 +112,13 @@ class ProcessCase(FolderCase):
     """Waits for a line of the log with `before`, and returns what follows it: "127.0.0.1:41234" after "listening on "."""
     found = wait_until(lambda: re.search(re.escape(before) + r"([^\s\"]+)", log.read_text()), f"'{before}' in {log}")
     return found.group(1)
+
+
+def free_port():
+  """A port of 127.0.0.1 that nothing uses yet."""
+  with socket.socket() as listener:
+    listener.bind(("127.0.0.1", 0))
+    return listener.getsockname()[1]
 
 
 def wait_until(condition, what, seconds=60):

@@ -1,6 +1,5 @@
 #include "tests/hostile/bad_actor.h"
 
-#include <cmath>
 #include <functional>
 #include <limits>
 #include <thread>
@@ -12,7 +11,6 @@
 
 #include "common/agent/canary.h"
 #include "common/base/status_macros.h"
-#include "common/io/snapshot_envelope.h"
 #include "common/process/version.h"
 #include "common/process/worker_name.h"
 #include "common/wire/channel.h"
@@ -23,7 +21,6 @@ namespace craftfleet {
 namespace {
 
 constexpr int kFloodThreads = 8;
-constexpr int kNames = 4;
 constexpr size_t kLargeBytes = 64 << 20;
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
 
@@ -89,45 +86,6 @@ void BadActor::Lie() {
       for (const v1::Permit& permit : reply->granted()) SendLie(permit);
     }
     SayNonsense();
-  }
-}
-
-absl::Status BadActor::Pretend() {
-  CRAFTFLEET_RETURN_IF_ERROR(Join());
-  CRAFTFLEET_ASSIGN_OR_RETURN(const v1::PermitReply reply, AskForPermits(1));
-  if (reply.granted_size() != 1) return absl::UnavailableError("no permit");
-  v1::FragmentMessage message = Fragment(reply.granted(0));
-  const v1::EnvConfig& env = joined_.config().env();
-  message.set_snapshot(SealSnapshot(EnvDigest(env.name(), env.length()), "no game"));
-  const absl::StatusOr<v1::FragmentVerdict> verdict = PushOnce(stub_.get(), std::move(message));
-  const bool accepted = verdict.ok() && verdict->verdict() == v1::FragmentVerdict::ACCEPTED;
-  learner_.Leave(name_);
-  return accepted ? absl::OkStatus() : absl::InternalError("the fragment was not accepted");
-}
-
-void BadActor::Report() {
-  std::vector<v1::PermitRequest> requests(kNames);  // one of each name
-  while (true) {
-    for (v1::PermitRequest& request : requests) {
-      if (request.actor().empty()) {
-        name_ = UniqueWorkerName();
-        if (!Join().ok()) continue;
-        request.set_actor(name_);
-        request.set_epoch(joined_.epoch());
-        request.set_capacity(4096);
-        request.set_wait_ms(20);
-      }
-      const absl::StatusOr<v1::PermitReply> reply = AskOnce(stub_.get(), request);
-      if (reply.ok() && reply->finished()) return;
-      request.clear_failures();
-      if (!reply.ok()) request.Clear();  // joins again
-      for (int i = 0; reply.ok() && i < reply->granted_size(); ++i) {
-        v1::LaneFailure* failure = request.add_failures();
-        failure->set_lane(reply->granted(i).lane());
-        failure->set_fragment(reply->granted(i).fragment());
-        failure->set_reason("damaged");
-      }
-    }
   }
 }
 

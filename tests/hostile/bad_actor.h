@@ -30,13 +30,6 @@ class BadActor {
   // could not recognise as false, because that would change the bytes of the run.
   void Lie();
 
-  // Plays nothing, and sends one fragment that the learner cannot recognise as false; its snapshot has a valid
-  // envelope, but is no game.
-  absl::Status Pretend();
-
-  // Under several names, reports of every lane that it gets that its snapshot can't be restored.
-  void Report();
-
   // Downloads weights that it never reads, sends large messages, joins under ever new names. Eight threads, each with
   // its own connection.
   void Flood();

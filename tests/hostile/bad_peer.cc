@@ -8,21 +8,18 @@
 
 #include <absl/flags/flag.h>
 #include <absl/strings/str_cat.h>
-#include <absl/strings/str_format.h>
 
 #include "common/base/status_macros.h"
 #include "common/io/paths.h"
 #include "common/io/texture_digest.h"
 #include "common/process/program.h"
-#include "common/process/version.h"
 #include "common/process/worker_name.h"
 #include "common/telemetry/log.h"
 #include "common/wire/channel.h"
 #include "common/wire/channel_flags.h"
-#include "common/wire/protocol.h"
 #include "common/wire/server.h"
 #include "common/wire/server_flags.h"
-#include "craftfleet/v1/learner.grpc.pb.h"
+#include "craftfleet/v1/status.pb.h"
 #include "envserver/announcer.h"
 #include "envserver/canary.h"
 #include "envserver/render/textures.h"
@@ -32,8 +29,7 @@
 
 ABSL_FLAG(std::string, role, "", "actor, envserver or learner");
 ABSL_FLAG(std::string, misdeed, "",
-          "silent, lying, flooding; for an actor also pretending (one fragment) and reporting (snapshots), for an "
-          "environment server slow, sluggish, endless (games) and announcing (servers)");
+          "silent, lying, flooding; for an environment server also slow, sluggish and endless (games)");
 ABSL_FLAG(std::string, learner, "", "address of the learner, for actors and environment servers");
 ABSL_FLAG(std::string, behind, "", "address of the environment server that a bad one passes sessions on to");
 ABSL_FLAG(std::string, listen, "127.0.0.1:0", "address to listen on, for environment servers and learners");
@@ -41,8 +37,6 @@ ABSL_FLAG(uint64_t, seed, 1, "of what it does when");
 
 namespace craftfleet {
 namespace {
-
-constexpr int kMadeUpServers = 3000;
 
 absl::Status NoSuch(const std::string& flag, const std::string& value) {
   return absl::InvalidArgumentError(absl::StrCat("--", flag, " is '", value, "': see --help"));
@@ -56,32 +50,10 @@ absl::Status RunActor(const std::string& misdeed, const wire::Endpoint& learner)
     actor.Lie();
   } else if (misdeed == "flooding") {
     actor.Flood();
-  } else if (misdeed == "reporting") {
-    actor.Report();
-  } else if (misdeed == "pretending") {
-    return actor.Pretend();
   } else {
     return NoSuch("misdeed", misdeed);
   }
   return absl::OkStatus();
-}
-
-// Announces made-up servers, more than a client may have, again and again.
-absl::Status AnnounceServers(const wire::Endpoint& learner, const std::string& textures, const std::string& canary) {
-  const auto stub = v1::LearnerService::NewStub(learner.channel);
-  for (int i = 0;; i = (i + 1) % kMadeUpServers) {
-    v1::Announcement made_up;
-    made_up.set_protocol_version(wire::kProtocolVersion);
-    made_up.set_texture_digest(textures);
-    made_up.set_build(BuildId());
-    made_up.set_canary(canary);
-    made_up.set_name(absl::StrCat("made-up-", i));
-    made_up.set_address(absl::StrFormat("127.1.%d.%d:9", i / 256, i % 256));
-    grpc::ClientContext context;
-    wire::SetDeadline(&context, absl::Seconds(10));
-    v1::AnnounceReply reply;
-    stub->Announce(&context, made_up, &reply);
-  }
 }
 
 absl::Status RunEnvServer(const std::string& misdeed, const wire::Endpoint& learner,
@@ -90,7 +62,6 @@ absl::Status RunEnvServer(const std::string& misdeed, const wire::Endpoint& lear
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::string digest, TextureDigest(textures));
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::shared_ptr<const Textures> loaded, Textures::Load(textures));
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::string canary, GameCanary(*loaded));
-  if (misdeed == "announcing") return AnnounceServers(learner, digest, canary);
   Misdeed kind = Misdeed::kSilent;
   if (misdeed == "slow") {
     kind = Misdeed::kSlow;

@@ -47,8 +47,8 @@ def hello(run_id="run", frame_size=64, client="hostile", env="crafter", picture_
     return field(1, message)
 
 
-def open_lanes(lanes, episode=1):
-    return field(2, b"".join(field(1, field(1, lane) + field(2, lane + 1) + field(3, episode)) for lane in lanes))
+def open_lanes(lanes):
+    return field(2, b"".join(field(1, field(1, lane) + field(2, lane + 1) + field(3, 1)) for lane in lanes))
 
 
 def step(lanes, action=0):

@@ -5,7 +5,6 @@ import os
 import queue
 import re
 import subprocess
-import time
 
 # pylint: disable=wrong-import-position
 from tests.deploy.python import package
@@ -57,17 +56,6 @@ class Program:
     def cpu_s(self):
         fields = open(f"/proc/{self.pid}/stat", encoding="utf-8").read().rsplit(")", 1)[1].split()
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-    def terminate(self, seconds):
-        """Sends SIGTERM; returns the seconds until the process ended, and fails after `seconds`."""
-        start = time.monotonic()
-        self.process.terminate()
-        try:
-            code = self.process.wait(seconds)
-        except subprocess.TimeoutExpired as error:
-            raise AssertionError(f"not ended {seconds} s after SIGTERM") from error
-        assert code == 0, (code, self.text())
-        return time.monotonic() - start
 
 
 class Call:

@@ -51,8 +51,12 @@ class AdminTest : public FleetRunTest {
   int calls_ = 0;
 };
 
-TEST_F(AdminTest, APausedAndCheckpointedRunHasTheSameResult) {
+TEST_F(AdminTest, ARunPausedAndResumedFromARequestedCheckpointHasTheSameResult) {
   StartRun("paused");
+  Order({"pause"}, "paused");
+  Order({"checkpoint"}, "checkpoint of iteration ");
+  fleet_.RestartLearner("paused");
+  WaitForCheckpoint("paused", 4);
   Order({"pause"}, "paused");
   Order({"checkpoint"}, "checkpoint of iteration ");
   const std::string stats = ReadFile(Logdir("paused") + "/stats.jsonl").value_or("");
@@ -65,14 +69,6 @@ TEST_F(AdminTest, APausedAndCheckpointedRunHasTheSameResult) {
   ExpectTheRunToEndLikeQuiet("paused");
   EXPECT_THAT(fleet_.learner->Err(),
               AllOf(HasSubstr("admin ipv4:127.0.0.1:"), HasSubstr(": pause"), HasSubstr(": resume")));
-}
-
-TEST_F(AdminTest, ARequestedCheckpointCanBeResumedFrom) {
-  StartRun("asked");
-  Order({"pause"}, "paused");
-  Order({"checkpoint"}, "checkpoint of iteration ");
-  fleet_.RestartLearner("asked");
-  ExpectTheRunToEndLikeQuiet("asked");
 }
 
 TEST_F(AdminTest, ADrainedActorNoLongerPlays) {
@@ -107,17 +103,9 @@ TEST_F(AdminTest, ADrainedServerHasNoGames) {
   EXPECT_THAT(fleet_.actor->Err(), Not(HasSubstr("ended the session")));
 }
 
-TEST_F(AdminTest, AStoppedLearnerContinuesWithResume) {
-  StartRun("stopped");
-  Order({"stop"}, "the learner is stopping");
-  EXPECT_EQ(fleet_.learner->Wait(absl::Seconds(10)), 0) << fleet_.learner->Err();
-  EXPECT_THAT(fleet_.learner->Err(), HasSubstr("continue with --resume"));
-  fleet_.RestartLearner("stopped");
-  ExpectTheRunToEndLikeQuiet("stopped");
-}
-
 TEST_F(AdminTest, ErrorsNameTheProblem) {
-  fleet_ = StartFleet("wrong");
+  fleet_.learner = StartLearner("wrong", "127.0.0.1:0");
+  fleet_.address = fleet_.learner->WaitForAddress().value();
   EXPECT_THAT(Admin({"dance"}).err, HasSubstr("\"dance\" is not a command, want checkpoint, pause"));
   EXPECT_THAT(Admin({"drain"}).err, HasSubstr("drain needs the name of one worker"));
   EXPECT_THAT(Admin({"undrain"}).err, HasSubstr("undrain needs the name of one worker"));

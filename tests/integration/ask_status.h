@@ -11,6 +11,7 @@
 #include "common/wire/channel.h"
 #include "common/wire/grpc_status.h"
 #include "craftfleet/v1/status.grpc.pb.h"
+#include "tests/fakes/metric_of.h"
 
 namespace craftfleet {
 
@@ -28,11 +29,7 @@ inline absl::StatusOr<v1::StatusReply> AskStatus(const std::string& address) {
 // The metric `name` of the process at `address`; -1: no answer, or no such metric.
 inline double MetricOf(const std::string& address, const std::string& name) {
   const absl::StatusOr<v1::StatusReply> reply = AskStatus(address);
-  if (!reply.ok()) return -1;
-  for (const v1::Metric& metric : reply->metrics()) {
-    if (metric.name() == name) return metric.value();
-  }
-  return -1;
+  return reply.ok() ? MetricOf(*reply, name) : -1;
 }
 
 }  // namespace craftfleet

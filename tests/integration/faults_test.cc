@@ -1,20 +1,15 @@
 // Faults in a fleet cost time but do not change the result: workers that are suspended, stopped, out of memory or cut
-// off, and a full disk. Killed workers are in fleet_test.cc; all faults combined are in tests/chaos.
+// off. Killed workers are in fleet_test.cc; all faults combined are in tests/chaos.
 
-#include <sys/mount.h>
 #include <sys/resource.h>
-#include <sys/stat.h>
 
 #include <cerrno>
 #include <csignal>
 #include <cstring>
-#include <filesystem>
-#include <fstream>
 #include <memory>
 #include <string>
 #include <vector>
 
-#include <absl/cleanup/cleanup.h>
 #include <absl/strings/numbers.h>
 #include <absl/strings/str_split.h>
 #include <absl/time/clock.h>
@@ -100,16 +95,13 @@ TEST_F(FaultsTest, AServerPausedFor4SecondsKeepsItsGamesAndOnePausedFor15LosesTh
 TEST_F(FaultsTest, ARunInOneProcessThatIsPausedGoesOn) {
   const auto train = Train("paused-run", {});
   WaitForCheckpoint("paused-run", 2);
-  for (int pause = 0; pause < 3; ++pause) {
-    train->Signal(SIGSTOP);
-    absl::SleepFor(absl::Seconds(6));  // longer than any answer may take
-    train->Signal(SIGCONT);
-    absl::SleepFor(absl::Milliseconds(100));
-  }
+  train->Signal(SIGSTOP);
+  absl::SleepFor(absl::Seconds(6));  // longer than any answer may take
+  train->Signal(SIGCONT);
   ExpectCompleteLikeQuiet("paused-run", train.get());
 }
 
-TEST_F(FaultsTest, AStoppedActorReturnsItsLanesAtOnce) {
+TEST_F(FaultsTest, AStoppedActorReturnsItsLanesAtOnceAndEndsEvenIfItsServerAndItsLearnerHang) {
   const Fleet fleet = StartFleet("stopped-actor");
   const auto second = StartActor("stopped-actor-second", fleet.address, fleet.server_address);
   WaitForCheckpoint("stopped-actor", 2);
@@ -117,15 +109,11 @@ TEST_F(FaultsTest, AStoppedActorReturnsItsLanesAtOnce) {
   EXPECT_EQ(fleet.actor->Wait(absl::Seconds(10)), 0) << fleet.actor->Err();
   WaitForCheckpoint("stopped-actor", 4);
   EXPECT_EQ(MetricOf(fleet.address, "permits_lapsed"), 0) << "its lanes were only freed when the lease expired";
-  ExpectCompleteLikeQuiet("stopped-actor", fleet.learner.get());
-}
-
-TEST_F(FaultsTest, AnActorStopsEvenIfItsLearnerHangs) {
-  const Fleet fleet = StartFleet("hanging-learner");
-  WaitForCheckpoint("hanging-learner", 2);
+  fleet.server->Signal(SIGSTOP);
+  absl::SleepFor(absl::Seconds(1));  // now the actor waits for a step
   fleet.learner->Signal(SIGSTOP);
-  fleet.actor->Signal(SIGTERM);
-  EXPECT_EQ(fleet.actor->Wait(absl::Seconds(10)), 0) << fleet.actor->Err();
+  second->Signal(SIGTERM);
+  EXPECT_EQ(second->Wait(absl::Seconds(8)), 0) << second->Err();
 }
 
 TEST_F(FaultsTest, AStoppedServerLetsItsGamesMoveFirst) {
@@ -198,25 +186,6 @@ TEST_F(FaultsTest, AServerOutOfMemoryDoesNotChangeTheResult) {
   const auto further = StartActor("memory-further", fleet.address, "learner");
   ExpectCompleteLikeQuiet("memory", fleet.learner.get());
   (void)fleet.server->Wait(absl::ZeroDuration());  // it may have ended: without memory gRPC's own threads abort
-}
-
-TEST_F(FaultsTest, AFullDiskIsWrittenOnceThereIsSpace) {
-  const std::string disk = Logdir("disk");
-  ASSERT_EQ(mkdir(disk.c_str(), 0755), 0);
-  if (mount("none", disk.c_str(), "tmpfs", 0, "size=100m") != 0) {
-    GTEST_SKIP() << "cannot mount a small tmpfs (it takes root): " << std::strerror(errno);
-  }
-  const absl::Cleanup unmount = [&disk] { umount2(disk.c_str(), MNT_DETACH); };
-  const auto train = Train("disk", {});
-  WaitForCheckpoint("disk", 2);
-  const std::string filler = disk + "/filler";
-  std::ofstream(filler) << std::string(100 << 20, 'x');  // fills the rest
-  ASSERT_TRUE(train->WaitForText("bytes of logs are waiting for space", kPatience)) << train->Err();
-  ASSERT_TRUE(train->WaitForText("training continues", kPatience)) << train->Err();
-  ASSERT_EQ(train->Wait(absl::ZeroDuration()), std::nullopt);
-  ASSERT_TRUE(std::filesystem::remove(filler));
-  ExpectCompleteLikeQuiet("disk", train.get());
-  EXPECT_EQ(Read("disk").events_bytes, quiet_->events_bytes) << "only the times differ";
 }
 
 }  // namespace

@@ -84,6 +84,7 @@ TEST_F(FinalEvaluationTest, StoppedByAdminItIsNotCompleteAndTheStatusShowsIt) {
   EXPECT_EQ(state(), "EVALUATING");
   const Ended stop = Run("craftfleet admin", {"stop", "--address=" + address});
   EXPECT_EQ(stop.exit_code, 0) << stop.err;
+  EXPECT_THAT(stop.out, HasSubstr("the learner is stopping"));
   ExpectStopped(Finish(learner.get()), "run");
 
   actor->Signal(SIGCONT);
@@ -107,19 +108,6 @@ TEST_F(FinalEvaluationTest, AnExtendedRunHasTheFinalEvaluationOfItsNewestWeights
   }
   Resume("run", {"--steps=192", "--resume_from=iter-00000003"});
   ExpectSameFinalLogs("run", "short");
-  EXPECT_EQ(Text("run", "final_argmax-192.jsonl"), "none");
-}
-
-// The run is stopped during the final evaluation, then extended: the pending evaluation is dropped.
-TEST_F(FinalEvaluationTest, ARunExtendedDuringItsFinalEvaluationIsEvaluatedOnlyAtItsNewEnd) {
-  ASSERT_NO_FATAL_FAILURE(EvaluateAtTheEnd(100));
-  EXPECT_EQ(Run("craftfleet train", Flags("long", {"--steps=320"})).exit_code, 0);
-  const auto train = Start("craftfleet train", Flags("run"));
-  ASSERT_TRUE(train->WaitForText(kEvaluating, kPatience)) << train->Err();
-  train->Signal(SIGTERM);
-  ExpectStopped(Finish(train.get()), "run");
-  Resume("run", {"--steps=320"});
-  ExpectSameFinalLogs("run", "long");
   EXPECT_EQ(Text("run", "final_argmax-192.jsonl"), "none");
 }
 

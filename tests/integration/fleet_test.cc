@@ -1,6 +1,7 @@
 // The guarantee of synchronous training, with real processes over loopback: which workers play, die or resume does not
 // change the result.
 
+#include <algorithm>
 #include <csignal>
 #include <string>
 #include <vector>
@@ -10,7 +11,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "learner/run/checkpoint_store.h"
+#include "tests/fakes/wait_until.h"
 #include "tests/integration/fleet_fixture.h"
 
 namespace craftfleet {
@@ -41,9 +42,10 @@ constexpr char kDistillationConfig[] = R"(
 
 class FleetTest : public FleetRunTest {
  protected:
-  // Actors and servers come and go during the run.
+  // An actor, the learner and a server are killed and started again during the run. Actors end with the run, and
+  // servers when they are stopped.
   static void PlayWithKills() {
-    const auto learner = StartLearner("kills", "127.0.0.1:0");
+    auto learner = StartLearner("kills", "127.0.0.1:0");
     auto first_server = StartServer("kills-server1");
     const auto second_server = StartServer("kills-server2");
     const std::string learner_address = learner->WaitForAddress().value();
@@ -56,19 +58,25 @@ class FleetTest : public FleetRunTest {
     WaitForCheckpoint("kills", 2);
     first_actor->Kill();
     first_actor = StartActor("kills-actor1-again", learner_address, servers);
-    WaitForCheckpoint("kills", 4);
+    WaitForCheckpoint("kills", 4);  // between two phases of distillation
+    learner->Kill();
+    learner = StartLearner("kills", learner_address, {"--resume"});
+    WaitForCheckpoint("kills", 6);
     first_server->Kill();
     first_server = StartServer("kills-server1-again", first_address);
     ASSERT_FALSE(learner->Wait(absl::ZeroDuration()).has_value()) << "the run ended before the kills";
 
-    EXPECT_EQ(learner->Wait(kPatience), 0) << learner->Err();
-    ExpectLikeQuiet("kills");
-  }
-  static void OutliveTheLearner() {
-    Fleet fleet = StartFleet("learner-killed");
-    WaitForCheckpoint("learner-killed", 4);
-    fleet.RestartLearner("learner-killed");
-    ExpectComplete("learner-killed", fleet);
+    ExpectCompleteLikeQuiet("kills", learner.get());
+    // An actor that has not joined again by then waits for the next learner.
+    const std::vector<Process*> actors = {first_actor.get(), second_actor.get(), third_actor.get()};
+    const auto has_ended = [](Process* actor) { return actor->Wait(absl::ZeroDuration()).has_value(); };
+    EXPECT_TRUE(WaitUntil([&] { return std::any_of(actors.begin(), actors.end(), has_ended); }, absl::Seconds(10)));
+    for (Process* const actor : actors) {
+      EXPECT_EQ(actor->Wait(absl::ZeroDuration()).value_or(0), 0) << actor->Err();
+      actor->Kill();
+    }
+    second_server->Signal(SIGTERM);
+    EXPECT_EQ(second_server->Wait(absl::Seconds(10)), 0) << second_server->Err();
   }
   static void Extend() {
     auto train = Train("longer", {"--steps=4096"});
@@ -79,17 +87,11 @@ class FleetTest : public FleetRunTest {
   }
 };
 
-TEST_F(FleetTest, OneActorAndOneServerEqualOneProcess) {
-  const Fleet fleet = StartFleet("one", /*registers=*/false, {}, /*threads=*/1);
-  ExpectComplete("one", fleet);
-  fleet.server->Signal(SIGTERM);
-  EXPECT_EQ(fleet.server->Wait(absl::Seconds(10)), 0) << fleet.server->Err();
-}
-
 TEST_F(FleetTest, ThreeActorsAndTwoServersWithKillsEqualOneProcess) { PlayWithKills(); }
 
+// The command that starts the run also resumes it.
 TEST_F(FleetTest, ARunStoppedOrKilledContinuesAsIfNeitherHadHappened) {
-  auto train = Train("stopped", {});
+  auto train = Train("stopped", {"--autoresume"});
   WaitForCheckpoint("stopped", 2);
   train->Signal(SIGTERM);
   ASSERT_EQ(train->Wait(absl::Seconds(10)), 0) << train->Err();
@@ -98,20 +100,10 @@ TEST_F(FleetTest, ARunStoppedOrKilledContinuesAsIfNeitherHadHappened) {
   WaitForCheckpoint("stopped", 6);
   train->Kill();
   ASSERT_FALSE(PathExists(Logdir("stopped") + "/" + kLastCheckpoint));
-  train = Train("stopped", {"--resume"});
+  train = Train("stopped", {"--autoresume"});
   ExpectCompleteLikeQuiet("stopped", train.get());
-}
-
-TEST_F(FleetTest, TheSameCommandStartsAndResumesARun) {
-  auto train = Train("again", {"--autoresume"});
-  WaitForCheckpoint("again", 4);
-  train->Kill();
-  train = Train("again", {"--autoresume"});
-  ExpectCompleteLikeQuiet("again", train.get());
   EXPECT_THAT(train->Err(), HasSubstr("resumes after iteration"));
 }
-
-TEST_F(FleetTest, AFleetOutlivesItsLearner) { OutliveTheLearner(); }
 
 TEST_F(FleetTest, AFinishedRunCanBeExtended) { Extend(); }
 
@@ -132,8 +124,6 @@ class EachKindOfFleetTest : public FleetTest, public testing::WithParamInterface
 };
 
 TEST_P(EachKindOfFleetTest, ThreeActorsAndTwoServersWithKillsEqualOneProcess) { PlayWithKills(); }
-
-TEST_P(EachKindOfFleetTest, AFleetOutlivesItsLearner) { OutliveTheLearner(); }
 
 INSTANTIATE_TEST_SUITE_P(Kinds, EachKindOfFleetTest,
                          testing::Values("recurrent", "overlapped", "overlapped_norm", "distillation"),
@@ -156,10 +146,6 @@ class FrameFormatsFleetTest : public FleetTest {
   }
 };
 
-TEST_F(FrameFormatsFleetTest, RawFramesEqualOneProcess) {
-  ExpectComplete("raw", StartFleet("raw", /*registers=*/false, {"--frames=raw"}));
-}
-
 TEST_F(FrameFormatsFleetTest, ActorsWithDifferentFormatsAndKillsEqualOneProcess) {
   Fleet fleet = StartFleet("formats", /*registers=*/false, {"--frames=scene"}, /*threads=*/1);
   const auto second_server = StartServer("formats-server2");
@@ -177,34 +163,14 @@ TEST_F(FrameFormatsFleetTest, ActorsWithDifferentFormatsAndKillsEqualOneProcess)
   EXPECT_THAT(fleet.learner->Err(), testing::Not(HasSubstr("differ")));
 }
 
-TEST_F(FleetTest, WithoutStalenessARunIsSynchronous) {
-  const auto train = Train("no-staleness", {"--max_staleness=0"});
-  ASSERT_EQ(train->Wait(kPatience), 0) << train->Err();
-  ExpectLikeQuiet("no-staleness");
-}
-
-// Lanes play on without waiting for each other. The result depends on the order of arrival.
+// Lanes play on without waiting for each other. The result depends on the order of arrival. Values are normalised by
+// statistics that change with each update; each fragment's are those of its weights.
 class AsynchronousFleetTest : public FleetTest {
  protected:
-  void SetUp() override { Configure(absl::StrReplaceAll(Config(), {{"ppo {", "max_staleness: 2  ppo {"}})); }
-  virtual std::string Config() { return kConfig; }
-
-  // Trains with three actors, of which one is stopped for a while and one is killed, and a learner that is killed.
-  static void OutliveFaults() {
-    Fleet fleet = StartFleet("async", /*registers=*/false, {}, /*threads=*/1);
-    const auto stopped = StartActor("async-stopped", fleet.address, fleet.server_address, /*threads=*/1);
-    auto killed = StartActor("async-killed", fleet.address, fleet.server_address, /*threads=*/1);
-    WaitForCheckpoint("async", 2);
-    stopped->Signal(SIGSTOP);
-    WaitForCheckpoint("async", 4);
-    stopped->Signal(SIGCONT);
-    killed->Kill();
-    WaitForCheckpoint("async", 6);
-    fleet.RestartLearner("async");
-    EXPECT_EQ(fleet.learner->Wait(kPatience), 0) << fleet.learner->Err();
-    EXPECT_THAT(fleet.learner->Err(), HasSubstr("resumes after iteration"));
-    EXPECT_EQ(fleet.actor->Wait(absl::Seconds(10)), 0) << fleet.actor->Err();
-    ExpectAWholeRun();
+  void SetUp() override {
+    Configure(absl::StrReplaceAll(kRecurrentConfig, {{"ppo {", "max_staleness: 2  ppo { value_norm_decay: 0.9 "},
+                                                     {"every_steps: 0  final_episodes: 0",
+                                                      "every_steps: 1000  episodes: 1  final_episodes: 1"}}));
   }
   static void ExpectAWholeRun() {
     EXPECT_GT(Lines(Read("async").stats), 0);
@@ -212,7 +178,23 @@ class AsynchronousFleetTest : public FleetTest {
   }
 };
 
-TEST_F(AsynchronousFleetTest, AFleetOutlivesFaults) { OutliveFaults(); }
+// Of three actors one is stopped for a while and one is killed; the learner is killed too.
+TEST_F(AsynchronousFleetTest, AFleetOutlivesFaults) {
+  Fleet fleet = StartFleet("async", /*registers=*/false, {}, /*threads=*/1);
+  const auto stopped = StartActor("async-stopped", fleet.address, fleet.server_address, /*threads=*/1);
+  auto killed = StartActor("async-killed", fleet.address, fleet.server_address, /*threads=*/1);
+  WaitForCheckpoint("async", 2);
+  stopped->Signal(SIGSTOP);
+  WaitForCheckpoint("async", 4);
+  stopped->Signal(SIGCONT);
+  killed->Kill();
+  WaitForCheckpoint("async", 6);
+  fleet.RestartLearner("async");
+  EXPECT_EQ(fleet.learner->Wait(kPatience), 0) << fleet.learner->Err();
+  EXPECT_THAT(fleet.learner->Err(), HasSubstr("resumes after iteration"));
+  EXPECT_EQ(fleet.actor->Wait(absl::Seconds(10)), 0) << fleet.actor->Err();
+  ExpectAWholeRun();
+}
 
 TEST_F(AsynchronousFleetTest, ARunInOneProcessCanBeKilledAndResumed) {
   auto train = Train("async", {});
@@ -222,16 +204,6 @@ TEST_F(AsynchronousFleetTest, ARunInOneProcessCanBeKilledAndResumed) {
   ASSERT_EQ(train->Wait(kPatience), 0) << train->Err();
   ExpectAWholeRun();
 }
-
-// Values are normalised by statistics that change with each update; each fragment's are those of its weights.
-class AsynchronousNormFleetTest : public AsynchronousFleetTest {
- protected:
-  std::string Config() override {
-    return absl::StrReplaceAll(kRecurrentConfig, {{"ppo {", "ppo { value_norm_decay: 0.9 "}});
-  }
-};
-
-TEST_F(AsynchronousNormFleetTest, AFleetOutlivesFaults) { OutliveFaults(); }
 
 }  // namespace
 }  // namespace craftfleet

@@ -139,12 +139,6 @@ TEST_F(RanksTest, ARankThatDoesNotComeIsNamedAfterTheTimeout) {
   EXPECT_FALSE(PathExists(Logdir("missing") + "/config.txt")) << "the run has not begun";
 }
 
-TEST_F(RanksTest, AMissingRank0IsNamedAfterTheTimeout) {
-  const auto rank = StartRank("alone", 1, 2, {"--rank_timeout=1s"});
-  EXPECT_EQ(rank->Wait(kPatience), 1);
-  EXPECT_THAT(rank->Err(), HasSubstr(absl::StrCat("rank 0 has not come to 127.0.0.1:", port_, " within 1s")));
-}
-
 TEST_F(RanksTest, ARankWithAnotherConfigurationIsRefusedByName) {
   Ranks ranks;
   ranks.push_back(StartRank("other", 0, 2));

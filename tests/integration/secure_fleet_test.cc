@@ -1,9 +1,10 @@
-// A fleet under attack: wrong credentials, garbage and new certificates do not change the run's result.
+// A fleet under attack: wrong credentials, garbage and new tokens do not change the run's result.
 
 #include <sys/socket.h>
 #include <unistd.h>
 
 #include <memory>
+#include <optional>
 #include <random>
 #include <string>
 #include <utility>
@@ -21,15 +22,10 @@
 
 #include "common/wire/certificates.h"
 #include "common/wire/channel.h"
-#include "common/wire/grpc_status.h"
-#include "common/wire/protocol.h"
-#include "craftfleet/v1/learner.grpc.pb.h"
-#include "craftfleet/v1/status.grpc.pb.h"
 #include "tests/fakes/loopback.h"
 #include "tests/fakes/sanitizers.h"
 #include "tests/fakes/test_certificates.h"
-#include "tests/fakes/wait_until.h"
-#include "tests/integration/secure_fleet_fixture.h"
+#include "tests/integration/fleet_fixture.h"
 
 namespace craftfleet {
 namespace {
@@ -38,136 +34,92 @@ using testing::AllOf;
 using testing::HasSubstr;
 using testing::Not;
 
-class SecureFleetTest : public SecureFleetFixture {
+// A fleet with TLS and rights.
+class SecureFleetTest : public FleetRunTest {
  protected:
-  SecureFleetTest()
-      : SecureFleetFixture({"learner", "envserver", "actor", "actor-2", "monitor", "guest"},
-                           absl::StrFormat(R"(
+  SecureFleetTest() {
+    for (const char* name : {"learner", "envserver", "actor", "monitor", "guest"}) ca_.Issue(name, {name});
+    const std::string access = absl::StrFormat(R"(
                   client { name: "workers" certificate: "actor*" right: PLAY }
                   client { name: "servers" certificate: "envserver" right: SERVE }
                   client { name: "monitor" certificate: "monitor" right: WATCH }
                   client { name: "guest with token" certificate: "guest" token_sha256: "%s" right: WATCH })",
-                                           wire::Sha256Hex("sesame"))) {}
-
-  wire::TlsFiles FilesOf(const std::string& name) const {
-    return {folder_ / (name + ".pem"), folder_ / (name + ".key"), folder_ / "ca.pem"};
+                                               wire::Sha256Hex("sesame"));
+    EXPECT_THAT(WriteFileSynced(folder_ / "access.txt", access), IsOk());
   }
 
-  // `more`: flags of the learner and the environment server.
-  void StartFleet(const std::string& run, const std::vector<std::string>& more = {}) {
+  // Flags of a process that presents certificate `name`.
+  std::vector<std::string> Tls(const std::string& name, const std::vector<std::string>& more = {}) const {
+    std::vector<std::string> flags = {"--tls_cert=" + (folder_ / (name + ".pem")),
+                                      "--tls_key=" + (folder_ / (name + ".key")), "--tls_ca=" + (folder_ / "ca.pem")};
+    flags.insert(flags.end(), more.begin(), more.end());
+    return flags;
+  }
+
+  void StartSecureLearner(const std::string& run, std::vector<std::string> more = {}) {
+    more.push_back(access_flag_);
+    learner_ = StartLearner(run, "127.0.0.1:0", Tls("learner", more));
+    learner_address_ = learner_->WaitForAddress("listening on ", kPatience).value();
+  }
+  // A learner, an environment server that registers with it, and an actor. `more`: flags of the first two.
+  void StartFleet(const std::string& run, std::vector<std::string> more = {}) {
     StartSecureLearner(run, more);
-    StartWorkers(run, more);
+    more.insert(more.end(), {access_flag_, "--listen=127.0.0.1:0", "--learner=" + learner_address_});
+    server_ = Start("craftfleet-envserver", run + "-server", Tls("envserver", more));
+    actor_ =
+        Start("craftfleet-actor", run + "-actor",
+              Tls("actor", {access_flag_, "--learner=" + learner_address_, "--envservers=learner", "--threads=2"}));
+  }
+  void ExpectTheRunToEndLikeQuiet(const std::string& run) {
+    EXPECT_EQ(learner_->Wait(kPatience), 0) << learner_->Err();
+    EXPECT_EQ(actor_->Wait(absl::Seconds(10)), 0) << actor_->Err();
+    ExpectLikeQuiet(run);
+    EXPECT_EQ(server_->Wait(absl::ZeroDuration()), std::nullopt) << server_->Err();
   }
 
   // Runs `program`, expects it to fail, and returns its standard error.
-  std::string Fail(const std::string& program, std::vector<std::string> flags) {
+  std::string Fail(const std::string& program, const std::vector<std::string>& flags) {
     const auto process = Start(program, absl::StrCat("intruder-", ++intruders_), flags);
     EXPECT_EQ(process->Wait(kPatience), 1);
     return process->Err();
   }
-  std::string FailToAsk(std::vector<std::string> flags) {
-    flags.push_back("--address=" + learner_address_);
-    return Fail("craftfleet status", std::move(flags));
-  }
 
+  const TempFolder folder_;
+  const std::string access_flag_ = "--access_file=" + (folder_ / "access.txt");
+  TestAuthority ca_{folder_, "ca"};
+  std::unique_ptr<Process> learner_;
+  std::unique_ptr<Process> server_;
+  std::unique_ptr<Process> actor_;
+  std::string learner_address_;
   int intruders_ = 0;
 };
 
 TEST_F(SecureFleetTest, StrangersAreRefusedAndTheRunIsTheSame) {
-  TestAuthority other(folder_, "other");
-  other.Issue("stranger", {"actor"});
-  ca_.Issue("old", {"actor", 1, true, -7200, -3600});
-  ASSERT_THAT(WriteFileSynced(folder_ / "wrong", "open\n"), IsOk());
-  ASSERT_THAT(WriteFileSynced(folder_ / "right", "sesame\n"), IsOk());
+  ASSERT_THAT(WriteFileSynced(folder_ / "token", "sesame\n"), IsOk());
   StartFleet("strangers");
   WaitForCheckpoint("strangers", 2);
 
-  EXPECT_THAT(FailToAsk({}), HasSubstr("if it speaks TLS, give --tls_ca"));
-  EXPECT_THAT(FailToAsk({"--tls_ca=" + (folder_ / "ca.pem")}), HasSubstr("give --tls_cert and --tls_key"));
-  EXPECT_THAT(FailToAsk({"--tls_ca=" + (folder_ / "other.pem")}), HasSubstr("not from an authority in --tls_ca"));
-  EXPECT_THAT(FailToAsk(Tls("stranger")), HasSubstr("not from an authority in --tls_ca"));
-  EXPECT_THAT(FailToAsk(Tls("old")), HasSubstr("expired on 20"));
-  EXPECT_THAT(FailToAsk(Tls("guest")), HasSubstr("not allowed"));
-  EXPECT_THAT(FailToAsk(Tls("guest", {"--token_file=" + (folder_ / "wrong")})),
-              HasSubstr("check the token in --token_file"));
-  EXPECT_THAT(FailToAsk(Tls("actor")), HasSubstr("no right to this"));
+  const std::string address = "--address=" + learner_address_;
+  EXPECT_THAT(Fail("craftfleet status", {address, "--tls_ca=" + (folder_ / "ca.pem")}),
+              HasSubstr("give --tls_cert and --tls_key"));
+  EXPECT_THAT(Fail("craftfleet status", Tls("actor", {address})), HasSubstr("no right to this"));
   EXPECT_THAT(Fail("craftfleet-actor", Tls("monitor", {"--learner=" + learner_address_, "--envservers=learner"})),
               AllOf(HasSubstr("learner " + learner_address_ + ": not allowed"), HasSubstr("no right to this")));
-  for (const char* verb : {"pause", "stop"}) {
-    EXPECT_THAT(Fail("craftfleet admin", Tls("monitor", {"--address=" + learner_address_, verb})),
-                AllOf(HasSubstr("not allowed"), HasSubstr("no right to this")));
-  }
-  for (const auto& flags : {Tls("monitor"), Tls("guest", {"--token_file=" + (folder_ / "right")})}) {
-    std::vector<std::string> ask = flags;
-    ask.push_back("--address=" + learner_address_);
-    EXPECT_EQ(Start("craftfleet status", "watcher", ask)->Wait(kPatience), 0);
+  EXPECT_THAT(Fail("craftfleet admin", Tls("monitor", {address, "stop"})),
+              AllOf(HasSubstr("not allowed"), HasSubstr("no right to this")));
+  for (const auto& flags :
+       {Tls("monitor", {address}), Tls("guest", {address, "--token_file=" + (folder_ / "token")})}) {
+    EXPECT_EQ(Start("craftfleet status", "watcher", flags)->Wait(kPatience), 0);
   }
 
   EXPECT_THAT(learner_->Err(), AllOf(HasSubstr("gRPC: Handshake failed"),
                                      HasSubstr("refused /craftfleet.v1.StatusService/GetStatus: craftfleet@"),
-                                     HasSubstr("the access file has no client with this certificate and no token"),
-                                     HasSubstr("its token is not in the access file"),
                                      HasSubstr("it is \"monitor\" in the access file, without the right to play"),
                                      HasSubstr("it is \"monitor\" in the access file, without the right to steer"),
                                      HasSubstr("it is \"workers\" in the access file, without the right to watch")));
   EXPECT_THAT(learner_->Err(), Not(HasSubstr("sesame")));
   ExpectTheRunToEndLikeQuiet("strangers");
   EXPECT_THAT(actor_->Err(), Not(HasSubstr("trying again")));
-}
-
-// Calls a unary method of the learner at `address` with the given TLS files.
-template <typename Reply, typename Request>
-absl::Status CallLearner(const std::string& address, const wire::TlsFiles& files,
-                         grpc::Status (v1::LearnerService::Stub::*method)(grpc::ClientContext*, const Request&, Reply*),
-                         const Request& request) {
-  const auto security = wire::ChannelSecurity::Create({files, "", ""});
-  if (!security.ok()) return security.status();
-  const auto stub = v1::LearnerService::NewStub(wire::Connect(address, *security).channel);
-  grpc::ClientContext context;
-  wire::SetDeadline(&context, kPatience);
-  Reply reply;
-  return wire::FromGrpc((stub.get()->*method)(&context, request, &reply), "learner");
-}
-
-TEST_F(SecureFleetTest, NoWorkerCanActUnderAnothersName) {
-  StartFleet("names");
-  const std::string server_address = server_->WaitForAddress("listening on ", kPatience).value();
-  WaitForCheckpoint("names", 2);
-  // Names are no secret: the learner's status page shows them.
-  const auto monitor = wire::ChannelSecurity::Create({FilesOf("monitor"), "", ""});
-  ASSERT_THAT(monitor, IsOk());
-  grpc::ClientContext context;
-  v1::StatusReply status;
-  ASSERT_TRUE(v1::StatusService::NewStub(wire::Connect(learner_address_, *monitor).channel)
-                  ->GetStatus(&context, {}, &status)
-                  .ok());
-  int tried = 0;
-  for (const v1::Peer& peer : status.peers()) {
-    if (peer.role() == "actor") {
-      v1::LeaveRequest leave;
-      leave.set_actor(peer.name());
-      EXPECT_THAT(CallLearner(learner_address_, FilesOf("actor-2"), &v1::LearnerService::Stub::Leave, leave),
-                  StatusIs(absl::StatusCode::kPermissionDenied, HasSubstr(peer.name())));
-      // Environment servers have no right to permits at all.
-      EXPECT_THAT(CallLearner(learner_address_, FilesOf("envserver"), &v1::LearnerService::Stub::Leave, leave),
-                  StatusIs(absl::StatusCode::kPermissionDenied, HasSubstr("not allowed")));
-      ++tried;
-    } else if (peer.role() == "envserver") {
-      v1::Announcement announcement;
-      announcement.set_protocol_version(wire::kProtocolVersion);
-      announcement.set_name(peer.name());
-      announcement.set_address(server_address);
-      announcement.set_leaving(true);
-      EXPECT_THAT(CallLearner(learner_address_, FilesOf("actor"), &v1::LearnerService::Stub::Announce, announcement),
-                  StatusIs(absl::StatusCode::kPermissionDenied, HasSubstr("not allowed")));
-      ++tried;
-    }
-  }
-  EXPECT_EQ(tried, 2);
-  EXPECT_EQ(learner_->Wait(absl::ZeroDuration()), std::nullopt) << "the run ended before the attempts";
-  EXPECT_THAT(learner_->Err(), HasSubstr("refused certificate 127.0.0.1, actor-2, localhost: actor"));
-  ExpectTheRunToEndLikeQuiet("names");
-  EXPECT_THAT(actor_->Err(), Not(HasSubstr("lapsed")));
 }
 
 // In the middle of the run, with permits and fragments to send.
@@ -197,38 +149,6 @@ TEST_F(SecureFleetTest, TokensReplacedWithoutOverlapAreUsed) {
   ASSERT_THAT(ReplaceFile(folder_ / "token", "new\n"), IsOk());
   ExpectTheRunToEndLikeQuiet("token");
   for (const Process* worker : {actor_.get(), server_.get()}) EXPECT_THAT(worker->Err(), HasSubstr("was read again"));
-}
-
-// Returns the serial number of a process's certificate, in hexadecimal.
-std::string SerialAt(const std::string& address, const std::vector<std::string>& flags, const std::string& file) {
-  const std::string command = absl::StrFormat(
-      "openssl s_client -connect %s -cert %s -key %s -CAfile %s -alpn h2 </dev/null 2>/dev/null | "
-      "openssl x509 -noout -serial > %s",
-      address, flags[0].substr(flags[0].find('=') + 1), flags[1].substr(flags[1].find('=') + 1),
-      flags[2].substr(flags[2].find('=') + 1), file);
-  return std::system(command.c_str()) == 0 ? ReadFile(file).value_or("") : "";
-}
-
-TEST_F(SecureFleetTest, NewCertificatesAreUsedAndNoConnectionIsLost) {
-  StartFleet("renewed");
-  const std::string server_address = server_->WaitForAddress("listening on ", kPatience).value();
-  WaitForCheckpoint("renewed", 2);
-  for (const char* name : {"learner", "envserver", "actor", "monitor"}) ca_.Issue(name, {name, 4096});
-  for (const std::string& address : {learner_address_, server_address}) {
-    EXPECT_TRUE(WaitUntil([&] { return SerialAt(address, Tls("monitor"), folder_ / "shown") == "serial=1000\n"; }))
-        << address;
-  }
-  EXPECT_EQ(learner_->Wait(absl::ZeroDuration()), std::nullopt) << "the run ended before the renewal";
-  // Another actor, which only ever gets the new certificates.
-  const auto late = Start("craftfleet-actor", "renewed-late",
-                          Tls("actor", {"--learner=" + learner_address_, "--envservers=learner", "--threads=1"}));
-  ASSERT_TRUE(late->WaitForText("joined run", kPatience)) << late->Err();
-  EXPECT_THAT(server_->Err(), Not(HasSubstr("trying again")));
-  ExpectTheRunToEndLikeQuiet("renewed");
-  EXPECT_EQ(late->Wait(absl::Seconds(10)), 0) << late->Err();
-  for (const Process* process : {actor_.get(), late.get()}) {
-    EXPECT_THAT(process->Err(), AllOf(Not(HasSubstr("trying again")), Not(HasSubstr("closed"))));
-  }
 }
 
 // Acts like a port scanner: sends a plausible beginning, then noise. Connections stay open until the end.
@@ -335,7 +255,8 @@ TEST_F(SecureFleetTest, AGigabyteMessageIsRefusedWithoutUsingAGigabyte) {
   WaitForCheckpoint("gigabyte", 2);
   const int64_t learner_memory = PeakMemory(*learner_);
   const int64_t server_memory = PeakMemory(*server_);
-  const auto security = wire::ChannelSecurity::Create({FilesOf("actor"), "", ""});
+  const auto security =
+      wire::ChannelSecurity::Create({{folder_ / "actor.pem", folder_ / "actor.key", folder_ / "ca.pem"}, "", ""});
   ASSERT_THAT(security, IsOk());
   // UNAVAILABLE: the connection was reset because it sent so much without a message. That may come first.
   const auto refused = testing::AnyOf(grpc::StatusCode::RESOURCE_EXHAUSTED, grpc::StatusCode::UNAVAILABLE);

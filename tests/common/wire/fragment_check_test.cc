@@ -10,6 +10,7 @@
 #include <vector>
 
 #include <absl/strings/str_cat.h>
+#include <absl/strings/str_format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -57,8 +58,9 @@ TEST_P(FragmentRange, AcceptsExactlyItsRange) {
   for (const float value :
        {std::nextafter(low, -kInfinity), std::nextafter(high, kInfinity), std::numeric_limits<float>::max(),
         std::numeric_limits<float>::lowest(), kInfinity, -kInfinity, std::nanf("")}) {
+    const std::string want = std::isfinite(value) ? absl::StrFormat("want %g..%g", low, high) : "want";
     EXPECT_THAT(CheckWith(value),
-                StatusIs(absl::StatusCode::kInvalidArgument, AllOf(HasSubstr(field), HasSubstr("want"))))
+                StatusIs(absl::StatusCode::kInvalidArgument, AllOf(HasSubstr(field), HasSubstr(want))))
         << value;
   }
 }
@@ -80,22 +82,6 @@ INSTANTIATE_TEST_SUITE_P(
         Range{"states", [](Message* m, float v) { m->set_states(1, v); }, -kLongest, kLongest},
         Range{"last_state", [](Message* m, float v) { m->set_last_state(0, v); }, -wire::kMaxHidden, wire::kMaxHidden},
         Range{"last_state", [](Message* m, float v) { m->set_last_state(1, v); }, -kLongest, kLongest}));
-
-// Impossible values that were once accepted.
-TEST(FragmentCheck, ErrorsNameFieldValueAndRange) {
-  Message message = wire::ToProto(SampleFragment(2, 7, 40));
-  message.set_log_probs(1, 40);
-  EXPECT_THAT(Check(message),
-              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("log_probs: 40 at 1, want -104..0")));
-  message = wire::ToProto(SampleFragment(2, 7, 40));
-  message.set_rewards(0, 1e6);
-  EXPECT_THAT(Check(message),
-              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("rewards: 1e+06 at 0, want -0.9..1.9")));
-  message = wire::ToProto(SampleFragment(2, 7, 40));
-  message.set_values(3, 3e38F);
-  EXPECT_THAT(Check(message),
-              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("values: 3e+38 at 3, want -1e+06..1e+06")));
-}
 
 // Each is possible, but all together they are more than a game can give: returns, and with them the statistics of
 // normalised values, would grow without bound.
@@ -165,7 +151,8 @@ TEST(FragmentCheck, EpisodeLengthsMustMatchTheStepsPlayed) {
   EXPECT_THAT(with_length(0, 10001), refused("2..10000"));
   EXPECT_THAT(with_length(0, int64_t{1} << 62), refused("2..10000"));
   EXPECT_THAT(with_length(1, 2), IsOk());
-  EXPECT_THAT(with_length(1, 1), refused("2..2"));
+  EXPECT_THAT(with_length(1, 1), StatusIs(absl::StatusCode::kInvalidArgument,
+                                          HasSubstr("length 1 of the one that ended at step 3, want 2..2")));
   EXPECT_THAT(with_length(1, 3), refused("2..2"));
 }
 

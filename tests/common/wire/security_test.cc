@@ -70,6 +70,13 @@ class SecurityTest : public testing::Test {
     EXPECT_THAT(server, IsOk());
     return *std::move(server);
   }
+  // Clients with `token` may watch.
+  std::unique_ptr<Server> ListenWithToken(const std::string& token) {
+    const std::string access = folder_ / "access.txt";
+    constexpr char kClient[] = R"(client { name: "a" token_sha256: "%s" right: WATCH })";
+    EXPECT_THAT(ReplaceFile(access, absl::StrFormat(kClient, Sha256Hex(token))), IsOk());
+    return Listen(Files("server", ""), access);
+  }
   std::string WriteToken(const std::string& name, const std::string& token) const {
     EXPECT_THAT(ReplaceFile(folder_ / name, token + "\n"), IsOk());
     return folder_ / name;
@@ -247,11 +254,7 @@ TEST_F(SecurityTest, TokensGiveRights) {
 }
 
 TEST_F(SecurityTest, AChangedTokenIsUsed) {
-  const std::string access = folder_ / "access.txt";
-  ASSERT_THAT(ReplaceFile(access, absl::StrFormat("client { name: \"a\" token_sha256: \"%s\" right: WATCH }",
-                                                  Sha256Hex("new"))),
-              IsOk());
-  const auto server = Listen(Files("server", ""), access);
+  const auto server = ListenWithToken("new");
   const Endpoint endpoint = Connect(server->address(), Client("", "ca", WriteToken("token", "old")));
   ErrorLog([&] { EXPECT_FALSE(GetStatus(endpoint).ok()); });
   WriteToken("token", "new");
@@ -259,11 +262,7 @@ TEST_F(SecurityTest, AChangedTokenIsUsed) {
 }
 
 TEST_F(SecurityTest, WhatIsNoTokenLeavesTheFormerOneInUse) {
-  const std::string access = folder_ / "access.txt";
-  ASSERT_THAT(ReplaceFile(access, absl::StrFormat("client { name: \"a\" token_sha256: \"%s\" right: WATCH }",
-                                                  Sha256Hex("old"))),
-              IsOk());
-  const auto server = Listen(Files("server", ""), access);
+  const auto server = ListenWithToken("old");
   const std::string path = WriteToken("token", "old");
   const ChannelSecurity client = Client("", "ca", path);
   ErrorLog(
@@ -281,11 +280,7 @@ TEST_F(SecurityTest, WhatIsNoTokenLeavesTheFormerOneInUse) {
 }
 
 TEST_F(SecurityTest, NoCallWaitsForTheTokenFile) {
-  const std::string access = folder_ / "access.txt";
-  ASSERT_THAT(ReplaceFile(access, absl::StrFormat("client { name: \"a\" token_sha256: \"%s\" right: WATCH }",
-                                                  Sha256Hex("old"))),
-              IsOk());
-  const auto server = Listen(Files("server", ""), access);
+  const auto server = ListenWithToken("old");
   const std::string path = WriteToken("token", "old");
   const Endpoint endpoint = Connect(server->address(), Client("", "ca", path));
   // Simulates a hanging disk: opening a FIFO blocks until it has a writer.

@@ -18,7 +18,7 @@
 #include "common/wire/grpc_status.h"
 #include "common/wire/status_service.h"
 #include "craftfleet/v1/environment.grpc.pb.h"
-#include "tests/fakes/empty_replies_service.h"
+#include "tests/fakes/echo_service.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
 
@@ -73,17 +73,14 @@ absl::StatusOr<std::string> Call(const Endpoint& server, const std::string& meth
   return bytes;
 }
 
-TEST(Server, ListensOnAFreePortAndReportsIt) {
-  const auto server = Listen("127.0.0.1:0");
-  EXPECT_THAT(server->address(), testing::MatchesRegex("127\\.0\\.0\\.1:[1-9][0-9]*"));
-}
-
 TEST(Server, ListensOnAHostName) {
   const auto server = Listen("localhost:0");
   EXPECT_THAT(server->address(), testing::MatchesRegex("localhost:[1-9][0-9]*"));
   // By number: c-ares, with which a client resolves names, leaks some bytes.
   const std::string port = server->address().substr(server->address().rfind(':'));
   EXPECT_THAT(WaitUntilConnected("server", Connect("127.0.0.1" + port), absl::Seconds(10)), IsOk());
+  EXPECT_THAT(Server::Create({server->address()}, {}),
+              StatusIs(absl::StatusCode::kUnavailable, HasSubstr("--listen: cannot listen on " + server->address())));
 }
 
 TEST(Server, ListensOnAUnixSocket) {
@@ -103,17 +100,8 @@ TEST(Server, ListensOnAUnixSocketWhosePathHasPercentSigns) {
   EXPECT_THAT(Server::Create({server->address()}, {}), StatusIs(absl::StatusCode::kUnavailable, HasSubstr("another")));
 }
 
-TEST(Server, NamesAPortThatIsInUse) {
-  const auto first = Listen("127.0.0.1:0");
-  EXPECT_THAT(Server::Create({first->address()}, {}),
-              StatusIs(absl::StatusCode::kUnavailable,
-                       AllOf(HasSubstr("--listen: cannot listen on " + first->address()), HasSubstr("in use"))));
-}
-
 TEST(Server, ReleasesItsPortOnDestruction) {
-  auto first = Listen("127.0.0.1:0");
-  const std::string address = first->address();
-  first.reset();
+  const std::string address = Listen("127.0.0.1:0")->address();
   EXPECT_EQ(Listen(address)->address(), address);
 }
 
@@ -128,7 +116,6 @@ TEST(Server, RefusesToListenBeyondThisHostByDefault) {
   for (const char* address : {"127.0.0.1:0", "127.1.2.3:0", "localhost:0", "[::1]:0", "unix:x", ""}) {
     EXPECT_THAT(Server::Options{address}.Validate(), IsOk()) << address;
   }
-  EXPECT_THAT(Listen("127.0.0.1:0"), testing::NotNull());
 }
 
 TEST(Server, RefusesAnInvalidAddress) {
@@ -145,7 +132,7 @@ TEST(Server, ReportsThatItIsHealthy) {
 }
 
 TEST(Server, StopDoesNotWaitForStreamsBeyondItsTimeout) {
-  EmptyRepliesService service;
+  EchoService service;
   const auto server = Listen("127.0.0.1:0", {&service});
   grpc::ClientContext context;
   const Endpoint endpoint = Connect(server->address());

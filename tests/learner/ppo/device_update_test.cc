@@ -189,6 +189,10 @@ TEST_P(Agents, LearnAlmostTheSameInBf16) {
   }
 }
 
+// Without and with the code for devices.
+using OnTheCpu = testing::TestWithParam<const char*>;
+INSTANTIATE_TEST_SUITE_P(DeviceUpdate, OnTheCpu, testing::Values("cpu", kOnTheCpu));
+
 TEST(DeviceUpdate, RepeatsBitForBitAndResumesSo) {
   const v1::RunConfig config = ConfigOf(R"(agent: "oc_sa" network { frame_size: 20 } ppo { value_norm_decay: 0.9 })");
   const Trained once(config, kOnTheCpu, 3);
@@ -204,9 +208,9 @@ TEST(DeviceUpdate, RepeatsBitForBitAndResumesSo) {
               *once.updater->SaveWeights() + *once.updater->SaveOptimizer());
 }
 
-TEST(DeviceUpdate, AStoppedOrFailedUpdateChangesNothingAndTheNextOneGoesOn) {
+TEST_P(OnTheCpu, AStoppedOrFailedUpdateChangesNothingAndTheNextOneGoesOn) {
   const v1::RunConfig config = ConfigOf(R"(network { frame_size: 40 } ppo { value_norm_decay: 0.9 })");
-  const Trained trained(config, kOnTheCpu, 1);
+  const Trained trained(config, GetParam(), 1);
   PpoUpdater& updater = *trained.updater;
   const std::string before = *updater.SaveWeights() + *updater.SaveOptimizer();
   const std::vector<Fragment> fragments = RandomFragments(updater);
@@ -222,7 +226,7 @@ TEST(DeviceUpdate, AStoppedOrFailedUpdateChangesNothingAndTheNextOneGoesOn) {
               StatusIs(absl::StatusCode::kDataLoss, HasSubstr("optimiser step ")));
   EXPECT_TRUE(*updater.SaveWeights() + *updater.SaveOptimizer() == before);
   ASSERT_THAT(updater.Update(1, rollout, NeverStop), IsOk());
-  const Trained both(config, kOnTheCpu, 2);
+  const Trained both(config, GetParam(), 2);
   EXPECT_TRUE(*updater.SaveWeights() + *updater.SaveOptimizer() ==
               *both.updater->SaveWeights() + *both.updater->SaveOptimizer());
 }
@@ -257,13 +261,13 @@ TEST(DeviceUpdate, LoadsOverAnUpdateThatNoCheckpointFollowed) {
   EXPECT_TRUE(*trained.updater->SaveOptimizer() == optimizer);
 }
 
-TEST(DeviceUpdate, RecognisesThatTrainingDiverges) {
-  const auto updater = *PpoUpdater::Create(ConfigOf("ppo { learning_rate: 1  minibatch_size: 32 }"), 1, kOnTheCpu);
-  const std::string before = *updater->SaveWeights();
+TEST_P(OnTheCpu, RecognisesThatTrainingDiverges) {
+  const auto updater = *PpoUpdater::Create(ConfigOf("ppo { learning_rate: 1  minibatch_size: 32 }"), 1, GetParam());
+  const std::string before = *updater->SaveWeights() + *updater->SaveOptimizer();
   const std::vector<Fragment> fragments = RandomFragments(*updater);
   EXPECT_THAT(updater->Update(0, RolloutOf(*updater, fragments), NeverStop),
               StatusIs(absl::StatusCode::kDataLoss, HasSubstr("training diverges")));
-  EXPECT_TRUE(*updater->SaveWeights() == before);
+  EXPECT_TRUE(*updater->SaveWeights() + *updater->SaveOptimizer() == before);
 }
 
 TEST(DeviceUpdate, WithoutMemoryItSaysWhatToLowerAndLosesNothing) {
@@ -297,21 +301,21 @@ DeviceTraffic TrafficOf(const Call& call) {
           after.computed - before.computed, after.awaited - before.awaited};
 }
 
-// What an update of two iterations with `epochs` epochs each moves.
+// What an update of `epochs` epochs moves.
 DeviceTraffic TrafficOf(const std::string& text, int epochs) {
   v1::RunConfig config = ConfigOf(text);
   config.mutable_ppo()->set_epochs(epochs);
-  return TrafficOf([&] { const Trained trained(config, kStandInDevice, 2); });
+  return TrafficOf([&] { const Trained trained(config, kStandInDevice, 1); });
 }
 
 // The host only starts computations during an iteration, whatever the number of minibatches.
 TEST_P(Agents, CopyAndWaitNeverPerMinibatch) {
   const DeviceTraffic one = TrafficOf(GetParam(), 1);
-  const DeviceTraffic three = TrafficOf(GetParam(), 3);
-  EXPECT_EQ(three.sent, one.sent);
-  EXPECT_EQ(three.fetched, one.fetched);
+  const DeviceTraffic two = TrafficOf(GetParam(), 2);
+  EXPECT_EQ(two.sent, one.sent);
+  EXPECT_EQ(two.fetched, one.fetched);
   EXPECT_EQ(one.read, 0);
-  EXPECT_EQ(three.read, 0);
+  EXPECT_EQ(two.read, 0);
 }
 
 TEST(DeviceUpdate, WeightsAndOptimiserStayThereUntilSomebodyWantsThem) {

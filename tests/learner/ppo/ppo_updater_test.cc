@@ -5,12 +5,16 @@
 #include <cstring>
 #include <limits>
 #include <map>
+#include <numeric>
+#include <string>
+#include <vector>
 
 #include <ATen/ATen.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include "common/agent/nets/wide_linear.h"
+#include "common/agent/policy.h"
 #include "common/agent/weights.h"
 #include "common/base/crc32c.h"
 #include "common/base/keyed_random.h"
@@ -60,43 +64,72 @@ std::string TrainedState(const v1::RunConfig& config, int threads, int iteration
   return *updater->SaveWeights() + *updater->SaveOptimizer();
 }
 
-TEST(PpoUpdater, ThreeStepsOnOneMinibatchMatchTheGolden) {
-  const nlohmann::json golden = ReadGolden("ppo_cnn.json");
-  const nlohmann::json& batch = golden["ppo_minibatch"];
-  OwnedRollout owned = WithFrames(batch["frames_seed"], batch["n"]);
+// Of the feed-forward agents as published.
+class PpoUpdaterGolden : public testing::TestWithParam<const char*> {};
+
+TEST_P(PpoUpdaterGolden, StepsOnOneMinibatchMatch) {
+  const GoldenAgent agent(GetParam());
+  const nlohmann::json& batch = agent.golden["ppo_minibatch"];
+  const int n = batch["n"];
+  OwnedRollout owned = WithFrames(batch["frames_seed"], n, agent.spec.frame_size);
+  ASSERT_EQ(ByteSum(owned.frames), batch["frames_byte_sum"]);
   for (const int action : batch["actions"]) owned.rollout.actions.push_back(static_cast<Action>(action));
   owned.rollout.log_probs = batch["old_log_prob"].get<std::vector<float>>();
   owned.rollout.advantages = batch["advantages"].get<std::vector<float>>();
   owned.rollout.returns = batch["returns"].get<std::vector<float>>();
   owned.rollout.values = owned.rollout.returns;
 
-  const v1::RunConfig config = SmallConfig(batch["n"]);
+  v1::RunConfig config = SmallConfig(n, agent.spec.name);
+  if (agent.spec.network.dropout() > 0) config.mutable_network()->set_dropout(0);  // the goldens are without
   const auto updater = *PpoUpdater::Create(config, 2, "cpu", PpoUpdater::Start::kZeros);
   const AgentSpec& spec = updater->spec();
-  ASSERT_TRUE(updater->Load(SaveWeights(spec, GoldenWeights(spec, golden)), FreshOptimizer(config)).ok());
-  for (size_t i = 0; i < batch["steps"].size(); ++i) {
+  ASSERT_TRUE(updater->Load(SaveWeights(spec, agent.weights), *updater->SaveOptimizer()).ok());
+  // The first step compares outputs; the later ones follow Adam, which divides small gradients by themselves.
+  double tolerance = 2e-5;
+  const auto near = [&](double actual, double wanted, const std::string& what) {
+    EXPECT_NEAR(actual, wanted, tolerance * std::max(1.0, std::abs(wanted))) << what;
+  };
+  const auto steps = static_cast<int64_t>(batch["steps"].size());
+  for (int64_t i = 0; i < steps; ++i) {
+    SCOPED_TRACE(i);
     const nlohmann::json& step = batch["steps"][i];
-    const absl::StatusOr<UpdateStats> stats = updater->Update(static_cast<int64_t>(i), owned.rollout, NeverStop);
+    const absl::StatusOr<UpdateStats> stats = updater->Update(i, owned.rollout, NeverStop);
     ASSERT_TRUE(stats.ok()) << stats.status();
-    // The first step compares outputs; the later ones follow Adam, which divides small gradients by themselves.
-    const double tolerance = i == 0 ? 2e-5 : 1e-2;
-    EXPECT_NEAR(stats->policy_loss, step["policy_loss"].get<double>(), tolerance);
-    EXPECT_NEAR(stats->value_loss, step["value_loss"].get<double>(), tolerance);
-    EXPECT_NEAR(stats->entropy, -step["entropy_loss"].get<double>(), tolerance);
-    EXPECT_NEAR(stats->approx_kl, step["approx_kl"].get<double>(), tolerance);
+    near(stats->policy_loss, step["policy_loss"], "policy_loss");
+    near(stats->value_loss, step["value_loss"], "value_loss");
+    const double entropy = -step["entropy_loss"].get<double>();
+    EXPECT_NEAR(stats->entropy, entropy, tolerance * (spec.name == "ppo_cnn" ? 1 : entropy));
+    near(stats->approx_kl, step["approx_kl"], "approx_kl");
     EXPECT_NEAR(stats->clip_fraction, step["clip_fraction"].get<double>(), i == 0 ? 0 : 0.0626);
+    tolerance = 1e-2;
+    // The golden of ppo_spcnn sums 134 million squares in single precision, 0.7% short of its own parts.
     const double norm = step["grad_norm_total"];
-    EXPECT_NEAR(stats->gradient_norm, norm, norm * (i == 0 ? 1e-3 : 1e-2));
+    EXPECT_NEAR(stats->gradient_norm, norm, norm * (i == 0 && spec.name != "ppo_spcnn" ? 1e-3 : 1e-2));
     if (i > 0) continue;
-    const std::map<std::string, double> norms = FirstGradientNorms(*updater, norm);
+    const std::map<std::string, double> norms = FirstGradientNorms(*updater, stats->gradient_norm);
     EXPECT_EQ(norms.size(), step["grad_norms"].size());
     for (const auto& [name, value] : norms) {
       const double known = step["grad_norms"].at(name);
       EXPECT_NEAR(value, known, known * 1e-3) << name;
     }
   }
-  EXPECT_EQ(updater->optimizer_steps(), 3);
+  EXPECT_EQ(updater->optimizer_steps(), steps);
+
+  const nlohmann::json& after = batch["after"];
+  std::vector<int> lanes(n);
+  std::iota(lanes.begin(), lanes.end(), 0);
+  const ActResult acts = *(*Policy::Create(spec, *updater->SaveWeights(), n))->ActGreedily(owned.frames, lanes, {});
+  for (int row = 0; row < n; ++row) {
+    near(acts.values[row], after["values"][row], "value");
+    near(acts.odds[row].log_probs[static_cast<int>(owned.rollout.actions[row])], after["log_prob"][row], "log_prob");
+  }
+  const absl::StatusOr<UpdateStats> stats = updater->Update(steps, owned.rollout, NeverStop);
+  ASSERT_TRUE(stats.ok()) << stats.status();
+  near(stats->policy_loss + config.ppo().value_coefficient() * stats->value_loss, after["total"], "total");
 }
+
+INSTANTIATE_TEST_SUITE_P(FeedForward, PpoUpdaterGolden, testing::Values("ppo_cnn", "ppo_spcnn", "oc_sa", "oc_ca"),
+                         [](const auto& info) { return std::string(info.param); });
 
 TEST(PpoUpdater, ThreadsDoNotChangeABit) {
   const v1::RunConfig config = SmallConfig(32);
@@ -150,43 +183,6 @@ TEST(PpoUpdater, UpdatesALargeWeightOfPatches) {
   ASSERT_TRUE(stats.ok()) << stats.status();
   const std::vector<float> updated = *LoadWeights(spec, *updater->SaveWeights());
   EXPECT_NE(updated[embedding->offset], weights[embedding->offset]);
-}
-
-TEST(PpoUpdater, StoppedUpdateChangesNothing) {
-  const OwnedRollout owned = RandomRollout(11, 64);
-  v1::RunConfig config = SmallConfig(32);
-  config.mutable_ppo()->set_value_norm_decay(0.9);
-  const auto updater = *PpoUpdater::Create(config, 2);
-  ASSERT_TRUE(updater->Update(0, owned.rollout, NeverStop).ok());
-  const std::string before = *updater->SaveWeights() + *updater->SaveOptimizer();
-  int asked = 0;
-  const auto stopped = updater->Update(1, owned.rollout, [&] { return ++asked == 2; });
-  EXPECT_EQ(stopped.status().code(), absl::StatusCode::kCancelled);
-  EXPECT_EQ(asked, 2);
-  EXPECT_TRUE(*updater->SaveWeights() + *updater->SaveOptimizer() == before);
-}
-
-TEST(PpoUpdater, GradientThatIsNotFiniteIsDataLossAndChangesNothing) {
-  OwnedRollout owned = RandomRollout(11, 64);
-  owned.rollout.returns[5] = std::numeric_limits<float>::infinity();
-  const auto updater = *PpoUpdater::Create(SmallConfig(32), 1);
-  const std::string before = *updater->SaveWeights() + *updater->SaveOptimizer();
-  const auto stats = updater->Update(0, owned.rollout, NeverStop);
-  EXPECT_EQ(stats.status().code(), absl::StatusCode::kDataLoss) << stats.status();
-  EXPECT_TRUE(*updater->SaveWeights() + *updater->SaveOptimizer() == before);
-}
-
-// The weights are finite, but actors could not play with them.
-TEST(PpoUpdater, TrainingThatDivergesIsDataLossAndChangesNothing) {
-  const OwnedRollout owned = RandomRollout(11, 64);
-  v1::RunConfig config = SmallConfig(64);
-  config.mutable_ppo()->set_learning_rate(1);
-  const auto updater = *PpoUpdater::Create(config, 1);
-  const std::string before = *updater->SaveWeights() + *updater->SaveOptimizer();
-  const auto stats = updater->Update(0, owned.rollout, NeverStop);
-  EXPECT_EQ(stats.status().code(), absl::StatusCode::kDataLoss) << stats.status();
-  EXPECT_THAT(std::string(stats.status().message()), HasSubstr("training diverges"));
-  EXPECT_TRUE(*updater->SaveWeights() + *updater->SaveOptimizer() == before);
 }
 
 TEST(PpoUpdater, StartsFromOldWeightsWithAFreshOptimiser) {

@@ -278,11 +278,13 @@ TEST(RankMeeting, OfferReachesAllAndAnotherWorldSizeIsRefused) {
 }
 
 TEST(RankMeeting, MissingRank0IsAnErrorAfterTheTimeout) {
-  RankOptions options = LocalRank(1, 2, FreePort());
+  const int port = FreePort();
+  RankOptions options = LocalRank(1, 2, port);
   options.timeout = absl::Seconds(1);
   const auto meeting = RankMeeting::Open(options, "");
   EXPECT_EQ(meeting.status().code(), absl::StatusCode::kUnavailable);
-  EXPECT_THAT(std::string(meeting.status().message()), HasSubstr("rank 0 has not come to 127.0.0.1:"));
+  EXPECT_THAT(std::string(meeting.status().message()),
+              HasSubstr(absl::StrCat("rank 0 has not come to 127.0.0.1:", port, " within 1s")));
 }
 
 // Rank 0's meeting at `master_addr`; `other` gets the options of rank 1.

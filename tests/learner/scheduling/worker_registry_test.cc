@@ -7,7 +7,6 @@
 #include <thread>
 #include <vector>
 
-#include <absl/strings/str_format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -68,20 +67,11 @@ TEST_F(WorkerRegistryTest, ADrainedActorIsNotAssignedAnEvaluation) {
   // The call came first and got a task, so the drained actor is not done.
   ASSERT_TRUE(reply.evaluation.has_value());
   EXPECT_FALSE(registry_.IsDrained("a"));
-  EXPECT_FALSE(Ask(Question("a", reply.evaluation->id)).evaluation.has_value());
+  const WorkerRegistry::PermitReply playing = Ask(Question("a", reply.evaluation->id));
+  EXPECT_TRUE(playing.resting);
+  EXPECT_FALSE(playing.evaluation.has_value());
   EXPECT_THAT(registry_.FinishEvaluation("a", reply.evaluation->id, std::vector<Episode>(1)), IsOk());
   EXPECT_FALSE(Ask(Question("a")).evaluation.has_value()) << "the other task is for other actors";
-  EXPECT_TRUE(registry_.IsDrained("a"));
-}
-
-TEST_F(WorkerRegistryTest, AnActorIsDrainedOnceItPlaysNeitherFragmentsNorAnEvaluation) {
-  registry_.Join("a", "");
-  registry_.AddEvaluation(SampleEvaluation(1));
-  const int64_t task = Ask(Question("a")).evaluation->id;
-  registry_.Drain("a");
-  EXPECT_FALSE(registry_.IsDrained("a"));
-  EXPECT_TRUE(Ask(Question("a", task)).resting);
-  EXPECT_THAT(registry_.FinishEvaluation("a", task, std::vector<Episode>(1)), IsOk());
   EXPECT_TRUE(registry_.IsDrained("a"));
 }
 
@@ -98,20 +88,6 @@ TEST_F(WorkerRegistryTest, AnActorThatIsKilledWhileItIsDrainedIsGoneOnceItCannot
   EXPECT_FALSE(registry_.IsDrained("a")) << "it may still renew its lease";
   clock_.Advance(absl::Milliseconds(1));
   EXPECT_TRUE(registry_.IsDrained("a"));
-}
-
-TEST_F(WorkerRegistryTest, AnUndrainedActorPlaysAgain) {
-  registry_.Join("a", "host:1");
-  registry_.OpenIteration(2, 1);
-  registry_.Drain("host:1");
-  EXPECT_THAT(Ask(Question("a")).granted, IsEmpty());
-  EXPECT_TRUE(registry_.IsDrained("a"));
-  EXPECT_THAT(registry_.Undrain("a"), IsOk());
-  EXPECT_FALSE(registry_.IsDrained("a"));
-  EXPECT_THAT(Ask(Question("a")).granted, SizeIs(4));
-  EXPECT_THAT(registry_.Undrain("nobody"),
-              StatusIs(absl::StatusCode::kNotFound, testing::HasSubstr("no worker \"nobody\" has joined or registered; "
-                                                                       "there are: a")));
 }
 
 TEST_F(WorkerRegistryTest, UndrainWakesAnActorThatWaits) {

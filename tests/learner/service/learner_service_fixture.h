@@ -15,6 +15,7 @@
 #include "common/wire/server.h"
 #include "learner/service/learner_service.h"
 #include "tests/fakes/fake_clock.h"
+#include "tests/fakes/metric_of.h"
 #include "tests/fakes/play_once.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/wire_samples.h"
@@ -109,11 +110,7 @@ class LearnerServiceTest : public testing::Test {
   double Metric(const std::string& name) const {
     v1::StatusReply reply;
     service_.FillStatus(&reply);
-    for (const v1::Metric& metric : reply.metrics()) {
-      if (metric.name() == name) return metric.value();
-    }
-    ADD_FAILURE() << "no metric " << name;
-    return -1;
+    return MetricOf(reply, name);
   }
 
   FakeClock clock_;

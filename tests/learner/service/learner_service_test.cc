@@ -138,18 +138,6 @@ TEST_F(LearnerServiceTest, AFragmentSentTwiceIsAcceptedOnce) {
   EXPECT_EQ(Metric("fragments_duplicate"), 1);
 }
 
-TEST_F(LearnerServiceTest, FragmentsWithoutPermitAreExpired) {
-  Enter("a");
-  const auto verdicts =
-      Push({Message("b", 0, 0), Message("a", 0, 1), Message("a", 0, 0, kPublishedVersion, kEpoch - 1)});
-  ASSERT_THAT(verdicts, IsOk());
-  ASSERT_EQ(verdicts->size(), 3);
-  for (const v1::FragmentVerdict& verdict : *verdicts) EXPECT_EQ(verdict.verdict(), v1::FragmentVerdict::EXPIRED);
-  EXPECT_EQ((*verdicts)[2].number(), 0);
-  EXPECT_EQ(fragments_.size(), 0);
-  EXPECT_EQ(Metric("fragments_expired"), 3);
-}
-
 TEST_F(LearnerServiceTest, AnInvalidFragmentIsRefusedAndTheStreamGoesOn) {
   Enter("a");
   const auto refused = [this](v1::FragmentMessage message, const std::string& error) {
@@ -200,7 +188,7 @@ TEST_F(LearnerServiceTest, ValuesBeyondWhatTheCriticOfTheirWeightsCanSayAreRefus
 }
 
 // Nothing is drawn, converted or digested for a stranger.
-TEST_F(LearnerServiceTest, TheContentOfFragmentsThatNobodyWantsIsNotLookedAt) {
+TEST_F(LearnerServiceTest, FragmentsWithoutPermitAreExpiredAndTheirContentIsNotLookedAt) {
   Enter("a");
   const auto garbage = [](v1::FragmentMessage message) {
     message.set_frames("none");
@@ -212,7 +200,10 @@ TEST_F(LearnerServiceTest, TheContentOfFragmentsThatNobodyWantsIsNotLookedAt) {
   ASSERT_THAT(verdicts, IsOk());
   ASSERT_EQ(verdicts->size(), 4);
   for (int i = 0; i < 3; ++i) EXPECT_EQ((*verdicts)[i].verdict(), v1::FragmentVerdict::EXPIRED) << i;
+  EXPECT_EQ((*verdicts)[1].number(), 5);
   EXPECT_EQ((*verdicts)[3].verdict(), v1::FragmentVerdict::REFUSED) << "this one was wanted";
+  EXPECT_EQ(fragments_.size(), 0);
+  EXPECT_EQ(Metric("fragments_expired"), 3);
 }
 
 TEST_F(LearnerServiceTest, ImpossibleRequestsForPermitsAreRefused) {

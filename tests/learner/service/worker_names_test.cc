@@ -16,6 +16,7 @@
 namespace craftfleet {
 namespace worker_names_test {
 
+using testing::AllOf;
 using testing::HasSubstr;
 using Stub = v1::LearnerService::Stub;
 
@@ -69,6 +70,7 @@ TEST_F(WorkerNamesTest, NoWorkerCanUseAnothersName) {
   ASSERT_THAT(Announce("server", "10.0.0.1:50061"), IsOk());
 
   Use("two");
+  testing::internal::CaptureStderr();
   const auto another = denied("actor \"a\" belongs to another certificate");
   EXPECT_THAT(Join("a"), another);
   EXPECT_THAT(GetPermits("a"), another);
@@ -82,6 +84,9 @@ TEST_F(WorkerNamesTest, NoWorkerCanUseAnothersName) {
   EXPECT_THAT(Announce("server", "10.0.0.2:50061"), denied("environment server \"server\" belongs to another"));
   EXPECT_THAT(Announce("server", "10.0.0.1:50061", /*leaving=*/true), denied("\""));
   EXPECT_THAT(Announce("mine", "10.0.0.1:50061"), denied("\"10.0.0.1:50061\" belongs to another certificate"));
+  EXPECT_THAT(testing::internal::GetCapturedStderr(),
+              AllOf(HasSubstr("refused certificate 127.0.0.1, "),  // in any order
+                    HasSubstr("two"), HasSubstr(": actor \"a\" belongs to another certificate")));
   EXPECT_EQ(registry_.permits(), permits) << "it has lost nothing";
   ASSERT_EQ(registry_.Servers().size(), 1);
   EXPECT_EQ(registry_.Servers()[0].name, "server");

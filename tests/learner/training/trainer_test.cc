@@ -32,6 +32,7 @@
 #include "learner/run/checkpoint.h"
 #include "learner/run/checkpoint_store.h"
 #include "tests/agent/stand_in_device.h"
+#include "tests/fakes/metric_of.h"
 #include "tests/fakes/no_tensor_memory.h"
 #include "tests/fakes/play_once.h"
 #include "tests/fakes/status_matchers.h"
@@ -265,10 +266,7 @@ class Training {
   double Metric(const std::string& name) {
     v1::StatusReply reply;
     learner_->trainer().FillStatus(&reply);
-    for (const v1::Metric& metric : reply.metrics()) {
-      if (metric.name() == name) return metric.value();
-    }
-    return -1;
+    return MetricOf(reply, name);
   }
 
  private:

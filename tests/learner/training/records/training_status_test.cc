@@ -6,6 +6,7 @@
 #include <gtest/gtest.h>
 
 #include "common/config/config.h"
+#include "tests/fakes/metric_of.h"
 #include "tests/learner/training/records/open_run.h"
 
 namespace craftfleet {
@@ -23,14 +24,7 @@ class TrainingStatusTest : public OpenRun {
     status_.Fill(meter_, absl::Seconds(7), &reply);
     return reply;
   }
-  double Metric(const std::string& name) const {
-    const v1::StatusReply reply = Fill();
-    for (const v1::Metric& metric : reply.metrics()) {
-      if (metric.name() == name) return metric.value();
-    }
-    ADD_FAILURE() << "no metric " << name;
-    return -1;
-  }
+  double Metric(const std::string& name) const { return MetricOf(Fill(), name); }
   double Rate() const { return Fill().summary().steps_per_second(); }
   void RunIteration(absl::Duration time) {
     status_.OnIterationBegin();
