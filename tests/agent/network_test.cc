@@ -284,7 +284,7 @@ TEST(Resnets, HaveTheirInitialRowNorms) {
 // The features by their definition, in double, cell by cell where that is simple. Source: AGENTS.md, section 7.
 at::Tensor SlowGridFeatures(const Sample& sample, int64_t border) {
   const auto param = [&](const std::string& name) {
-    const ParamSpec& spec = ParamNamed(sample.spec, "features_extractor." + name);
+    const ParamSpec spec = ParamNamed(sample.spec, "features_extractor." + name);
     return at::tensor(at::ArrayRef<float>(&sample.weights[spec.offset], spec.size)).view(spec.shape).to(at::kDouble);
   };
   const auto norm = [&](const std::string& name, const at::Tensor& x) {  // of each row, over all that it has

@@ -86,7 +86,7 @@ TEST(AttentionStrip, EachStepIsReported) {
   EXPECT_THAT(PlayOutline(stop, listener, game->get()), IsOk());
   EXPECT_THAT(reported, ElementsAre(1, 2, 3));
   ASSERT_THAT((*game)->Start(policy, 1), IsOk());
-  EXPECT_THAT(TakeColumns({9}, AttentionChoice(), stop, listener, game->get()), IsOk());
+  EXPECT_THAT(TakeColumns({9}, AttentionChoice(), stop, listener, game->get()).status(), IsOk());
   EXPECT_THAT(reported, ElementsAre(1, 2, 3, 1, 2, 3));
 }
 
