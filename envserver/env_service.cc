@@ -18,7 +18,8 @@
 namespace craftfleet {
 namespace {
 
-constexpr int64_t kMuch = 1 << 20;  // bytes of a session without games, for which it is worth ending: of large pictures
+// A session without games that has at least so many bytes, for the tables of large pictures, makes room when it ends.
+constexpr int64_t kWorthEnding = 1 << 20;
 
 }  // namespace
 
@@ -75,7 +76,7 @@ void EnvServiceImpl::EndIdlest(const std::string* client) {
   for (const auto& [key, session] : sessions_) {
     if (client != nullptr && session.client != *client) continue;
     const int64_t since = *session.idle_since;
-    const bool frees_room = session.lanes > 0 || session.bytes >= kMuch;
+    const bool frees_room = session.lanes > 0 || session.bytes >= kWorthEnding;
     if (!frees_room || since == 0 || since >= idlest_since) continue;
     idlest = &session;
     idlest_since = since;

@@ -17,14 +17,11 @@ struct Block {
   size_t weights_offset;  // in the flat array
 };
 
-// Fixed, so that sums don't depend on the number of threads.
-constexpr size_t kBlock = kAdamBlock;
-
 std::vector<Block> CutIntoBlocks(const ShardGradient& gradient) {
   std::vector<Block> blocks;
   size_t piece_start = 0;
   for (size_t piece = 0; piece < gradient.size(); ++piece) {
-    for (size_t offset = 0; offset < gradient[piece].size(); offset += kBlock) {
+    for (size_t offset = 0; offset < gradient[piece].size(); offset += kAdamBlock) {
       blocks.push_back({piece, offset, piece_start + offset});
     }
     piece_start += gradient[piece].size();
@@ -91,7 +88,7 @@ double AdamStep(const AdamOptions& options, absl::Span<const ShardGradient> shar
   const std::vector<Block> blocks = CutIntoBlocks(shards[0]);
   const int count = static_cast<int>(blocks.size());
   const auto part_of = [&](const ShardGradient& shard, int i) {
-    return shard[blocks[i].piece].subspan(blocks[i].offset, kBlock);
+    return shard[blocks[i].piece].subspan(blocks[i].offset, kAdamBlock);
   };
   std::vector<double> squares(count);
   workers->Run(count, [&](int i) {

@@ -3,6 +3,7 @@
 #ifndef CRAFTFLEET_LEARNER_PPO_ADAM_H_
 #define CRAFTFLEET_LEARNER_PPO_ADAM_H_
 
+#include <cstddef>
 #include <cstdint>
 #include <vector>
 
@@ -34,9 +35,9 @@ AdamOptions AdamOptionsOf(const v1::PpoConfig& config);
 // which then stay as they are. In shards after the first, a piece may be empty: it is in the first one's already.
 using ShardGradient = std::vector<absl::Span<float>>;
 
-// The squares of a piece are added in blocks of so many values from its start: a parameter in pieces of whole blocks
-// has the norm of one in a single piece.
-inline constexpr int64_t kAdamBlock = 16384;
+// The squares of a piece are added in blocks of so many values from its start. That is fixed, so that the norm depends
+// neither on the number of threads nor on how many pieces of whole blocks a parameter is in.
+inline constexpr size_t kAdamBlock = 16384;
 
 // Adds the gradients of the shards in their order into the first, then takes one step on `weights`, in place. At least
 // one shard; all are cut into the same pieces. Shares the work out over `workers`; their number does not change a bit

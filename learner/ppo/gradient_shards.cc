@@ -106,7 +106,7 @@ absl::Status GradientShards::SumWideGradients(ShardRange range, std::vector<Shar
     if (!factors->input.defined()) continue;  // it has its gradient already
     const int64_t inputs = factors->input.size(1);
     const int64_t outputs = factors->output_gradient.size(1);
-    const int64_t count = outputs * inputs % (kWidePieces * kAdamBlock) == 0 ? kWidePieces : 1;
+    const int64_t count = outputs * inputs % (kWidePieces * int64_t{kAdamBlock}) == 0 ? kWidePieces : 1;
     for (ShardGradient& gradient : *gradients) gradient.insert(gradient.begin() + weight, count - 1, {});
     std::vector<float*> pieces;
     for (int64_t i = 0; i < count; ++i) {

@@ -62,8 +62,9 @@ void ActorStream::OnCancel() {
 absl::Status ActorStream::Answer() {
   CRAFTFLEET_RETURN_IF_ERROR(service_->CheckAllowed(*context_));
   if (message_.has_permits()) return Ask(message_.permits());
-  if (!message_.has_fragment())
+  if (!message_.has_fragment()) {
     return absl::InvalidArgumentError("a message without permits or fragment, or an unreadable one");
+  }
   v1::LearnerMessage answer;
   CRAFTFLEET_ASSIGN_OR_RETURN(*answer.mutable_verdict(), service_->Receive(*context_, message_.mutable_fragment()));
   Send(std::move(answer));

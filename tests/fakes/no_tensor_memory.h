@@ -4,6 +4,7 @@
 #define CRAFTFLEET_TESTS_FAKES_NO_TENSOR_MEMORY_H_
 
 #include <cstddef>
+#include <deque>
 #include <new>
 #include <thread>
 
@@ -48,8 +49,14 @@ class NoTensorMemory {
 #endif
   };
 
+  // Never freed: when it is replaced, another thread may be about to ask it.
+  static None& Make() {
+    static auto* const all = new std::deque<None>;
+    return all->emplace_back();
+  }
+
   c10::Allocator* const usual_ = c10::GetCPUAllocator();
-  None none_;
+  None& none_ = Make();
 };
 
 }  // namespace craftfleet

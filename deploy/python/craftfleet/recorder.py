@@ -40,7 +40,7 @@ class Recorder(gymnasium.Wrapper, gymnasium.utils.RecordConstructorArgs):
     # A copy is made without arguments.
     if env is not None and not isinstance(env, gymnasium.Env) and not isinstance(env, gymnasium.vector.VectorEnv):
       if cls is not Recorder:
-        raise TypeError(f"{cls.__name__} of {type(env).__name__}, want an environment of Gymnasium: a Recorder of others has no subclasses")
+        raise TypeError(f"{cls.__name__} of {type(env).__name__}, want an environment of Gymnasium: subclasses of Recorder wrap no others")
       return _CrafterRecorder(env, *arguments, **named)
     return super().__new__(cls)
 
