@@ -3,6 +3,7 @@
 #include <random>
 #include <vector>
 
+#include <absl/strings/escaping.h>
 #include <absl/strings/numbers.h>
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
@@ -79,7 +80,11 @@ absl::Status EpochFence::Check() const {
   }
   if (*text == text_) return absl::OkStatus();
   const absl::StatusOr<EpochFile> taken = ParseEpoch(EpochPath(logdir_), *text);
-  if (!taken.ok()) return absl::UnavailableError(taken.status().message());
+  if (!taken.ok()) {
+    return absl::UnavailableError(
+        absl::StrCat("cannot check whether this learner still owns its run folder: ", EpochPath(logdir_),
+                     " is damaged, want its two lines: \"", absl::CEscape(text_), "\""));
+  }
   return absl::AbortedError(absl::StrCat(
       "run folder ", logdir_, " was taken over by ", taken->by, " (epoch ", taken->epoch, ", this one is epoch ",
       epoch_,

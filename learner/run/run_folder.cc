@@ -243,8 +243,10 @@ int64_t RunFolder::waiting_bytes() const {
 }
 
 absl::Status RunFolder::WriteCheckpoint(Checkpoint checkpoint) {
-  if (score().episodes() > 0) best_score_ = std::max(best_score_, score().RecentReward());
   v1::CheckpointState& state = checkpoint.state;
+  // The best must not depend on when a run was stopped or a checkpoint requested.
+  const bool is_periodic = state.iteration() % config_.checkpoint().every_iterations() == 0;
+  if (is_periodic && score().episodes() > 0) best_score_ = std::max(best_score_, score().RecentReward());
   state.set_program_version(program_.version);
   state.set_run_id(run_id_);
   *state.mutable_config() = config_;

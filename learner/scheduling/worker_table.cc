@@ -79,7 +79,9 @@ bool WorkerTable::IsForfeit(WorkerRole role, absl::string_view name, const Worke
 absl::StatusOr<Worker*> WorkerTable::Own(WorkerRole role, absl::string_view name, const WorkerClient& client) {
   Worker* worker = Find(role, name);
   if (worker != nullptr && worker->client.identity != client.identity) {
-    if (IsOwned(*worker)) return NotTheOwner(NameOf(role), name, options_.name_lapse);
+    // An active actor has lanes: it must be removed first. Its name may have lapsed a moment ago.
+    const bool is_playing = role == WorkerRole::kActor && worker->active;
+    if (is_playing || IsOwned(*worker)) return NotTheOwner(NameOf(role), name, options_.name_lapse);
     Erase(worker);  // the record of another worker
     worker = nullptr;
   }

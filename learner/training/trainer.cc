@@ -143,8 +143,11 @@ absl::Status Trainer::RunIteration() {
   const absl::StatusOr<UpdateStats> stats = Learn(fragments);
   meter_.Switch(Activity::kOther);
   if (absl::IsCancelled(stats.status())) return stats.status();
-  CRAFTFLEET_RETURN_IF_ERROR(CheckContinues());
-  if (!stats.ok()) return UndoIteration(fragments, stats.status());
+  if (!stats.ok()) {
+    CRAFTFLEET_RETURN_IF_ERROR(CheckContinues());
+    return UndoIteration(fragments, stats.status());
+  }
+  // Whatever stops the run now, the updater has the weights of this iteration: a checkpoint must count it.
   failed_updates_ = 0;
   CRAFTFLEET_RETURN_IF_ERROR(FinishIteration(fragments, *stats, std::move(lanes)));
   status_.OnIterationEnd(*parts_.folder, fragments.front(), parts_.updater->spec().frame_size);

@@ -25,7 +25,9 @@ namespace craftfleet {
 class RunFolderTest : public testing::Test {
  protected:
   std::unique_ptr<RunFolder> Create() {
-    auto folder = RunFolder::Create(logdir_, ResolveRunConfig(DefaultRunConfig()).value(), program_, &clock_);
+    v1::RunConfig config = ResolveRunConfig(DefaultRunConfig()).value();
+    config.mutable_checkpoint()->set_every_iterations(every_iterations_);
+    auto folder = RunFolder::Create(logdir_, config, program_, &clock_);
     EXPECT_THAT(folder, IsOk());
     if (!folder.ok()) return nullptr;
     EXPECT_THAT((*folder)->Begin(), IsOk());
@@ -61,6 +63,7 @@ class RunFolderTest : public testing::Test {
     }
   }
 
+  int every_iterations_ = 1;  // a checkpoint is periodic
   const TempFolder temp_;
   const std::string logdir_ = temp_ / "runs/a";
   const ProgramInfo program_{"0.2.0", "39702b5", "digest1"};

@@ -254,6 +254,17 @@ TEST_F(RunFolderTest, TheBestScoreNeverDecreases) {
   EXPECT_EQ(run->folder->checkpoints().LoadLatest("").value().state.best_score(), 5);
 }
 
+// Otherwise the bytes of later checkpoints, and which one is kept, would depend on when a run was stopped.
+TEST_F(RunFolderTest, ACheckpointOnRequestIsNeverTheBest) {
+  every_iterations_ = 2;
+  const auto folder = Create();
+  folder->AddEpisodes({SampleEpisode(10, 5)});
+  ASSERT_THAT(folder->WriteCheckpoint(SampleCheckpoint(1)), IsOk());
+  folder->AddEpisodes({SampleEpisode(10, 0)});
+  ASSERT_THAT(folder->WriteCheckpoint(SampleCheckpoint(2)), IsOk());
+  EXPECT_EQ(folder->checkpoints().LoadLatest("").value().state.best_score(), 2.5);
+}
+
 TEST_F(RunFolderTest, ARunThatLostItsConfigurationIsNotOverwritten) {
   ASSERT_NO_FATAL_FAILURE(MakeRun());
   ASSERT_THAT(RemoveAll(logdir_ + "/config.txt"), IsOk());

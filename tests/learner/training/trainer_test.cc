@@ -2,6 +2,7 @@
 // tests act as its actors.
 #include "learner/training/trainer.h"
 
+#include <atomic>
 #include <functional>
 #include <memory>
 #include <stdexcept>
@@ -11,7 +12,7 @@
 #include <vector>
 
 #include <absl/strings/str_cat.h>
-#include <absl/time/clock.h>
+#include <absl/time/time.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -37,6 +38,7 @@
 #include "tests/fakes/play_once.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
+#include "tests/fakes/wait_until.h"
 
 namespace craftfleet {
 namespace trainer_test {
@@ -131,8 +133,9 @@ class Training {
     thread_.join();
     return status_;
   }
+  void RequestStop() { learner_->Stop(); }
   absl::Status Stop() {
-    learner_->Stop();
+    RequestStop();
     return Wait();
   }
 
@@ -191,7 +194,7 @@ class Training {
   void PlayInVain(const std::string& actor) {
     const NoTensorMemory no_memory;
     Play(actor, kPerIteration, Poison);
-    while (Metric("updates_undone") == 0) absl::SleepFor(absl::Milliseconds(5));
+    ASSERT_TRUE(WaitUntil([this] { return Metric("updates_undone") > 0; }));
   }
   Fragment Played(const v1::Permit& permit) const {
     return PlayedFragment(permit.lane(), permit.fragment(), permit.policy_version(), epoch_);
@@ -346,6 +349,29 @@ TEST_F(TrainerTest, AGpuThatFailsEndsTheRunAtOnce) {
   EXPECT_EQ(Begin("gpu", variant)->Metric("iteration"), 0) << "the last checkpoint";
 }
 
+// The stop comes too late to undo the update: a checkpoint with its weights and without its iteration would let the
+// resumed run learn the same rollout twice.
+TEST_F(TrainerTest, AStopAtTheEndOfAnUpdateKeepsItsIteration) {
+  Variant variant;
+  variant.on_gpu = true;
+  const auto training = Begin("gpu", variant);
+  std::atomic<int> computations = 0;
+  ObserveComputations([&](auto&&...) { ++computations; });
+  for (int64_t version = 1; version <= 2; ++version) {
+    computations = 0;
+    training->Play("a", kPerIteration);
+    ASSERT_FALSE(training->Weights(version).empty());
+  }
+  ObserveComputations([&](auto&&...) {
+    if (--computations == 0) training->RequestStop();
+  });
+  training->Play("a", kPerIteration);
+  ASSERT_THAT(training->Wait(), IsOk());
+  ObserveComputations(nullptr);
+  const v1::CheckpointState state = LoadCheckpointState(folder_ / "gpu/checkpoints/" + CheckpointName(3)).value();
+  EXPECT_EQ(state.optimizer_steps(), 3 * kPerIteration * kSteps / 16) << "minibatches of 16";
+}
+
 TEST_F(TrainerTest, ALaneResetWithinAnIterationDoesNotChangeTheResult) {
   const std::string quiet = QuietWeights();
   const auto training = Begin("put-back");
@@ -418,7 +444,7 @@ TEST_F(TrainerTest, ARequestedCheckpointIsWrittenWhileTrainingWaitsForEvaluation
   evaluated.evaluates = true;
   const auto training = Begin("evaluated", evaluated);
   training->Play("a", 3 * kPerIteration);
-  while (training->Metric("iteration") < 3) absl::SleepFor(absl::Milliseconds(5));
+  ASSERT_TRUE(WaitUntil([&] { return training->Metric("iteration") >= 3; }));
   EXPECT_EQ(training->RequestCheckpoint().value(), 3);
   const std::string path = folder_ / "evaluated/checkpoints/" + CheckpointName(3);
   EXPECT_EQ(LoadCheckpointState(path).value().pending_size(), 3) << "two are too few to wait for";
