@@ -107,9 +107,9 @@ absl::Status Actor::Join() {
   request.set_cpu(CpuDescription());
   request.set_address(wire::GrpcAddress(address_));  // printable, whatever the path of a Unix socket
   request.set_build(BuildId());
-  request.set_only_ask(options_.set_up != nullptr && !set_up_);
-  if (!request.only_ask()) {
-    CRAFTFLEET_ASSIGN_OR_RETURN(*request.mutable_canary(), PolicyCanary());
+  request.set_only_ask(!run_.has_value());
+  if (run_.has_value()) {
+    CRAFTFLEET_ASSIGN_OR_RETURN(*request.mutable_canary(), PolicyCanary(*run_));
   }
   Backoff backoff(kFirstRetry, kLastRetry);
   while (!stopping()) {
@@ -119,8 +119,8 @@ absl::Status Actor::Join() {
         return absl::DataLossError(absl::StrFormat("%s: invalid reply to Join: %s", learner_.name(), status.message()));
       }
       if (request.only_ask()) {
-        CRAFTFLEET_RETURN_IF_ERROR(options_.set_up(reply->config()));
-        set_up_ = true;
+        if (options_.set_up != nullptr) CRAFTFLEET_RETURN_IF_ERROR(options_.set_up(reply->config()));
+        run_ = reply->config();
         return Join();
       }
       was_accepted_ = true;

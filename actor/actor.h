@@ -6,6 +6,7 @@
 #include <atomic>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <string>
 #include <thread>
 #include <vector>
@@ -94,10 +95,10 @@ class Actor {
   EnvServerTracker servers_;
   PermitTracker permits_;
   LearnerStream stream_;
-  std::string address_;        // this and the next are used only by Run's thread
-  v1::JoinReply joined_;       // the last one
-  bool set_up_ = false;        // options_.set_up was called
-  bool was_accepted_ = false;  // a learner has accepted it before
+  std::string address_;               // this and the next are used only by Run's thread
+  v1::JoinReply joined_;              // the last one
+  std::optional<v1::RunConfig> run_;  // that it was set up for, before it joined
+  bool was_accepted_ = false;         // a learner has accepted it before
   RealClock clock_;
   LimitedLog log_{&clock_};  // of what the learner causes
   absl::Time retry_logged_ = absl::InfinitePast();

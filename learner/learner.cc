@@ -115,16 +115,23 @@ absl::StatusOr<std::string> ExpectedGame(const std::string& texture_dir, absl::s
   return GameCanary(*textures);
 }
 
-// The build that workers of a run with `cpu` must match, with this canary of their game.
-absl::StatusOr<BuildCheck::Options> ExpectedBuild(v1::RunConfig::Cpu cpu, const std::string& game_canary,
+// The build that workers of the run must match, with this canary of their game.
+absl::StatusOr<BuildCheck::Options> ExpectedBuild(const v1::RunConfig& config, const std::string& game_canary,
                                                   bool allow_mixed) {
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string canary, PolicyCanary());
-  const absl::string_view known = KnownPolicyCanary(cpu);
-  if (!known.empty() && canary != known) {
-    LogWarning("with cpu: %s the canary of this machine is %s, want %s: other machines may compute different results",
-               v1::RunConfig::Cpu_Name(cpu), canary, known);
+  absl::StatusOr<std::string> canary = PolicyCanary(config);
+  // A learner that updates on a GPU need not be able to act on its CPU.
+  if (config.device() == v1::RunConfig::CUDA_UPDATES && absl::IsInvalidArgument(canary.status())) {
+    LogWarning("%s; so this learner accepts actors whatever they compute", canary.status().message());
+    canary = std::string();
   }
-  return BuildCheck::Options{BuildId(), canary, game_canary, allow_mixed};
+  CRAFTFLEET_RETURN_IF_ERROR(canary.status());
+  const absl::string_view known = KnownPolicyCanary(config.cpu());
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string float32_canary, PolicyCanary());
+  if (!known.empty() && float32_canary != known) {
+    LogWarning("with cpu: %s the canary of this machine is %s, want %s: other machines may compute different results",
+               v1::RunConfig::Cpu_Name(config.cpu()), float32_canary, known);
+  }
+  return BuildCheck::Options{BuildId(), *canary, game_canary, allow_mixed};
 }
 
 // Whether so many ranks can share out the updates of such a run.
@@ -221,7 +228,7 @@ absl::StatusOr<Learner::Loaded> Learner::Load(const Options& options, const v1::
                                                                                : PpoUpdater::Start::kInitialWeights));
   if (options.device != "cpu") LogInfo("updates on %s, precision %s", options.device, PrecisionName(config));
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::string game, ExpectedGame(options.texture_dir, loaded.texture_digest));
-  CRAFTFLEET_ASSIGN_OR_RETURN(loaded.build, ExpectedBuild(config.cpu(), game, options.allow_mixed));
+  CRAFTFLEET_ASSIGN_OR_RETURN(loaded.build, ExpectedBuild(config, game, options.allow_mixed));
   if (!options.resume) {
     std::string origin;
     if (!options.init_from.empty()) {

@@ -54,7 +54,8 @@ ABSL_FLAG(std::string, resume_from, "",
           "with --resume: the checkpoint to resume from, such as iter-00000020 [the newest]");
 ABSL_FLAG(std::string, init_from, "",
           "start a new run with the weights of another run: its folder (newest checkpoint) or a checkpoint\n"
-          "of the same agent; optimiser, counters and everything else start from zero");
+          "of the same agent; optimiser, counters and everything else start from zero\n"
+          "but for the statistics of normalised values");
 ABSL_FLAG(std::optional<int32_t>, checkpoint_every, std::nullopt,
           "iterations from one checkpoint to the next; one is always written at the end [10]");
 ABSL_FLAG(std::optional<int32_t>, keep_checkpoints, std::nullopt,

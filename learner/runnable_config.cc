@@ -10,7 +10,7 @@
 
 #include <absl/strings/str_format.h>
 
-#include "common/agent/nets/attention.h"
+#include "common/agent/attention_map.h"
 #include "common/agent/nets/recurrent_core.h"
 #include "common/base/status_macros.h"
 #include "common/config/config.h"
@@ -38,8 +38,7 @@ double AttentionProbabilities(const v1::NetworkConfig& network) {
       network.objects() != v1::NetworkConfig::CROSS_ATTENTION) {
     return 0;
   }
-  const auto side = static_cast<double>(PatchesPerSide(network.frame_size(), network.patch(), network.stride()));
-  const double tokens = side * side;
+  const double tokens = PatchGrid{network.frame_size(), network.patch(), network.stride()}.count();
   const bool to_each_other = network.objects() == v1::NetworkConfig::SELF_ATTENTION;
   return network.heads() * tokens * (to_each_other ? tokens : network.slots());
 }

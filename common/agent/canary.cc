@@ -9,10 +9,12 @@
 #include <absl/status/status.h>
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
+#include <absl/types/span.h>
 #include <google/protobuf/text_format.h>
 #include <torch/version.h>
 
 #include "common/agent/agent_spec.h"
+#include "common/agent/device.h"
 #include "common/agent/policy_net.h"
 #include "common/agent/torch_setup.h"
 #include "common/base/check.h"
@@ -23,14 +25,25 @@
 namespace craftfleet {
 namespace {
 
+struct Computation {
+  const char* network;
+  int rows;
+};
+constexpr int kTile = 8;  // the default
 // Small networks that together use the layers which canary.h lists, with convolutions by FFT with both sizes of tiles.
 // Changing them changes every canary.
-constexpr const char* kNetworks[] = {
-    R"(agent: "lstm_cnn")",
-    R"(agent: "oc_sa" network { frame_size: 32 patch: 4 stride: 4 })",
-    R"(agent: "oc_ca" network { frame_size: 24 patch: 4 stride: 4 residual_mlp: true layer_norm: true })",
+constexpr Computation kComputations[] = {
+    {R"(agent: "lstm_cnn")", kTile},
+    {R"(agent: "oc_sa" network { frame_size: 32 patch: 4 stride: 4 })", kTile},
+    {R"(agent: "oc_ca" network { frame_size: 24 patch: 4 stride: 4 residual_mlp: true layer_norm: true })", kTile},
 };
-constexpr int kRows = 8;   // the default tile
+// What bfloat16 adds: LibTorch's products, of a tile and of a shard of a minibatch, whose many numbers show rare
+// differences; and those of a linear layer that has kernels of its own from 32 rows on (nets/wide_product.h).
+constexpr Computation kBf16Computations[] = {
+    {R"(agent: "ppo_cnn" network { frame_size: 36 } precision: BF16)", kTile},
+    {R"(agent: "ppo_cnn" network { frame_size: 36 } precision: BF16)", 64},
+    {R"(agent: "ppo_spcnn" network { frame_size: 24 } precision: BF16)", 32},
+};
 constexpr int kSteps = 2;  // of the LSTM
 
 struct Known {
@@ -59,8 +72,8 @@ std::vector<float> CanaryWeights(const AgentSpec& spec) {
   return weights;
 }
 
-at::Tensor CanaryFrames(int size, int step) {
-  at::Tensor frames = at::empty({kRows, size, size, 3});
+at::Tensor CanaryFrames(int rows, int size, int step) {
+  at::Tensor frames = at::empty({rows, size, size, 3});
   float* values = frames.data_ptr<float>();
   for (int64_t i = 0; i < frames.numel(); ++i) values[i] = std::abs(Number(2 + step, i));
   return frames;
@@ -71,12 +84,12 @@ uint64_t TakeIn(uint64_t hash, const at::Tensor& tensor) {
   return Fnv1a(hash, {static_cast<const char*>(values.data_ptr()), static_cast<size_t>(values.nbytes())});
 }
 
-uint64_t TakeInNetwork(uint64_t hash, const AgentSpec& spec) {
+uint64_t TakeInNetwork(uint64_t hash, const AgentSpec& spec, int rows) {
   std::vector<float> weights = CanaryWeights(spec);
   const PolicyNet net(spec, PolicyNet::Use::kActing, absl::MakeSpan(weights));
-  Segments segments = {std::vector<int>(kRows, 1), at::zeros({kRows, spec.state_size})};
+  Segments segments = {std::vector<int>(rows, 1), at::zeros({rows, spec.state_size})};
   for (int step = 0; step < kSteps; ++step) {
-    const PolicyNet::Output output = net.Forward(CanaryFrames(spec.frame_size, step), segments);
+    const PolicyNet::Output output = net.Forward(CanaryFrames(rows, spec.frame_size, step), segments);
     const at::Tensor odds = at::softmax(output.logits, /*dim=*/1);
     for (const at::Tensor& tensor : {output.logits, output.values, odds}) hash = TakeIn(hash, tensor);
     if (spec.state_size == 0) break;
@@ -86,27 +99,39 @@ uint64_t TakeInNetwork(uint64_t hash, const AgentSpec& spec) {
   return hash;
 }
 
-absl::StatusOr<std::string> Compute() {
+absl::StatusOr<uint64_t> TakeInNetworks(uint64_t hash, absl::Span<const Computation> computations) {
   SetUpTorchThread();
-  uint64_t hash = kFnv1aBasis;
-  for (const char* text : kNetworks) {
+  for (const Computation& computation : computations) {
     v1::RunConfig config;
-    CRAFTFLEET_CHECK(google::protobuf::TextFormat::ParseFromString(text, &config));
+    CRAFTFLEET_CHECK(google::protobuf::TextFormat::ParseFromString(computation.network, &config));
     CRAFTFLEET_ASSIGN_OR_RETURN(const AgentSpec spec, MakeAgentSpec(config));
     try {
       const c10::InferenceMode inference;
-      hash = TakeInNetwork(hash, spec);
+      hash = TakeInNetwork(hash, spec, computation.rows);
     } catch (const std::exception& error) {
       return absl::InternalError(absl::StrCat("the canary of ", spec.name, ": ", error.what()));
     }
+  }
+  return hash;
+}
+
+absl::StatusOr<std::string> Compute(bool takes_in_bf16) {
+  CRAFTFLEET_ASSIGN_OR_RETURN(uint64_t hash, TakeInNetworks(kFnv1aBasis, kComputations));
+  if (takes_in_bf16) {
+    CRAFTFLEET_RETURN_IF_ERROR(CheckPrecision("cpu", v1::RunConfig::BF16));
+    CRAFTFLEET_ASSIGN_OR_RETURN(hash, TakeInNetworks(hash, kBf16Computations));
   }
   return absl::StrFormat("%016x", hash);
 }
 
 }  // namespace
 
-absl::StatusOr<std::string> PolicyCanary() {
-  static const auto& canary = *new absl::StatusOr<std::string>(Compute());
+absl::StatusOr<std::string> PolicyCanary(const v1::RunConfig& run) {
+  if (run.precision() == v1::RunConfig::BF16 && run.device() != v1::RunConfig::CUDA) {
+    static const auto& canary = *new absl::StatusOr<std::string>(Compute(/*takes_in_bf16=*/true));
+    return canary;
+  }
+  static const auto& canary = *new absl::StatusOr<std::string>(Compute(/*takes_in_bf16=*/false));
   return canary;
 }
 

@@ -40,6 +40,8 @@ struct Advice {
 constexpr Advice kUpdating = {
     "lower ppo.minibatch_size first, then ppo.rollout_steps and lanes, or end other programs on this GPU",
     ", or use --device=cpu", "start again with --resume"};
+constexpr Advice kDistilling = {"lower distillation.minibatch_size, then distillation.every_iterations",
+                                kUpdating.kernels, kUpdating.restart};
 constexpr Advice kActing = {"end other programs on this GPU, or run fewer actors on it", "", "start the actor again"};
 
 absl::Status ErrorWith(const Advice& advice, absl::string_view task, absl::string_view what) {
@@ -192,6 +194,10 @@ absl::Status CheckGpuPrecision(absl::string_view device, int capability, v1::Run
 }
 
 absl::Status DeviceError(absl::string_view task, absl::string_view what) { return ErrorWith(kUpdating, task, what); }
+
+absl::Status DistillingDeviceError(absl::string_view task, absl::string_view what) {
+  return ErrorWith(kDistilling, task, what);
+}
 
 absl::Status ActingDeviceError(absl::string_view task, absl::string_view what) {
   return ErrorWith(kActing, task, what);

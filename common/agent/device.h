@@ -54,6 +54,9 @@ absl::Status CheckGpuPrecision(absl::string_view device, int capability, v1::Run
 //   for the GPU.   Unavailable: the GPU or its driver failed.   Internal: anything else.
 absl::Status DeviceError(absl::string_view task, absl::string_view what);
 
+// The same in a phase of distillation, where other settings take the memory.
+absl::Status DistillingDeviceError(absl::string_view task, absl::string_view what);
+
 // The same for an actor, which can do other things about it.
 absl::Status ActingDeviceError(absl::string_view task, absl::string_view what);
 

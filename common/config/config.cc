@@ -110,6 +110,10 @@ absl::Status CheckRelations(const v1::RunConfig& config) {
   check.That(config.distillation().every_iterations() == 0 || network.goal_predictor(),
              "distillation.every_iterations is given, but the network has no goal_predictor to train: want network { "
              "goal_predictor: true }");
+  check.That(
+      config.precision() != v1::RunConfig::BF16 || config.cpu() != v1::RunConfig::AVX2 ||
+          config.device() == v1::RunConfig::CUDA,
+      "precision is BF16 and cpu is AVX2, which has no bfloat16: want cpu: NATIVE or AVX512, or precision: FP32");
   return check.status();
 }
 

@@ -18,8 +18,9 @@ struct DistillationStats {
   int episodes = 0;  // whole ones with an achievement
 };
 
-// Of the rollout's importance weights: the probability of a step's action under the policy that the update starts from,
-// divided by that under the policy which played. 1 where these are the same. Source: PPO.md, section 10.
+// Of the rollout's importance weights: the probability of a step's action under the policy at its minibatch of the
+// first epoch, divided by that under the policy which played. So they also show how far the first epoch moved the
+// policy: without lag they are 1 in its first minibatch alone. Source: PPO.md, section 10.
 struct ImportanceStats {
   double mean = 0;
   double min = 0;

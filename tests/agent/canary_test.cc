@@ -69,6 +69,23 @@ TEST(PolicyCanary, DiffersBetweenInstructionSets) {
   EXPECT_NE(plain, Printed("avx2"));
 }
 
+TEST(PolicyCanary, OfARunInBfloat16DependsOnItsInstructions) {
+  if (OutputOf("grep -m1 avx512_bf16 /proc/cpuinfo").empty()) GTEST_SKIP() << "a CPU without AVX512-BF16";
+  const std::string printed = Printed("native bf16");
+  EXPECT_THAT(printed, MatchesRegex("[0-9a-f]{16}\n"));
+  EXPECT_EQ(Printed("native bf16"), printed);
+  const std::string emulated = "ONEDNN_MAX_CPU_ISA=AVX512_CORE DNNL_MAX_CPU_ISA=AVX512_CORE";
+  EXPECT_THAT(Printed("native bf16", emulated), MatchesRegex("[0-9a-f]{16}\n"));
+  EXPECT_NE(Printed("native bf16", emulated), printed);
+}
+
+TEST(PolicyCanary, OfARunThatActsOnGpusIsThatOfFloat32) {
+  v1::RunConfig run;
+  run.set_precision(v1::RunConfig::BF16);
+  run.set_device(v1::RunConfig::CUDA);
+  EXPECT_EQ(PolicyCanary(run), PolicyCanary());
+}
+
 TEST(PolicyCanary, WithAvx512IsComputedOrRefused) {
   if (CheckCpu(v1::RunConfig::AVX512).ok()) {
     EXPECT_THAT(Printed("avx512"), MatchesRegex("[0-9a-f]{16}\n"));

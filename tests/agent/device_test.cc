@@ -57,6 +57,15 @@ TEST(DeviceError, IsOneSentenceThatSaysWhatToDo) {
               StatusIs(absl::StatusCode::kInternal, testing::StrEq("update: shapes differ")));
 }
 
+TEST(DistillingDeviceError, SaysWhatAPhaseOfDistillationNeedsMemoryFor) {
+  EXPECT_THAT(DistillingDeviceError("distillation", "CUDA out of memory. Tried to allocate 512.00 MiB"),
+              StatusIs(absl::StatusCode::kResourceExhausted,
+                       AllOf(HasSubstr("lower distillation.minibatch_size, then distillation.every_iterations"),
+                             Not(HasSubstr("ppo.minibatch_size")))));
+  EXPECT_EQ(DistillingDeviceError("update", "CUDA error: unspecified launch failure"),
+            DeviceError("update", "CUDA error: unspecified launch failure"));
+}
+
 TEST(ActingDeviceError, SaysWhatAnActorCanDo) {
   const auto error = [](const std::string& text) { return ActingDeviceError("policy", text); };
   EXPECT_THAT(error("CUDA out of memory. Tried to allocate 512.00 MiB"),

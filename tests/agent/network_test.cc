@@ -118,8 +118,6 @@ TEST(CutPatches, AreInRowOrderAndFlattenedByChannel) {
     EXPECT_TRUE(patches[0][1].equal(at::tensor({2.F, 3.F, 12.F, 13.F, 102.F, 103.F, 112.F, 113.F})));
     EXPECT_TRUE(patches[0][2].equal(at::tensor({20.F, 21.F, 30.F, 31.F, 120.F, 121.F, 130.F, 131.F})));
   }
-  EXPECT_EQ(PatchesPerSide(72, 12, 8), 8);
-  EXPECT_EQ(PatchesPerSide(72, 16, 16), 4);
 }
 
 // Attention by its definition, computed number by number. `competition`: softmax over queries.

@@ -2,11 +2,13 @@
 // beside LibTorch's in float64, with autograd; bits.
 
 #include <functional>
+#include <limits>
 #include <ostream>
 #include <string>
 #include <vector>
 
 #include <ATen/ATen.h>
+#include <ATen/CPUGeneratorImpl.h>
 #include <c10/core/GradMode.h>
 #include <gtest/gtest.h>
 #include <torch/csrc/autograd/autograd.h>
@@ -20,7 +22,6 @@
 #include "common/agent/nets/wide_product.h"
 #include "common/agent/torch_setup.h"
 #include "common/base/cpu_path.h"
-#include "common/base/keyed_random.h"
 
 namespace craftfleet {
 namespace {
@@ -38,12 +39,7 @@ std::vector<CpuPath> KernelPaths() {
 
 // Numbers in [-scale / 2, scale / 2) that depend on `stream`.
 at::Tensor Numbers(at::IntArrayRef shape, uint64_t stream, double scale) {
-  at::Tensor numbers = at::empty(shape);
-  float* const to = numbers.data_ptr<float>();
-  for (int64_t i = 0; i < numbers.numel(); ++i) {
-    to[i] = static_cast<float>(scale * (UnitInterval(MixBits(stream * kKeyedGamma + i)) - 0.5));
-  }
-  return numbers;
+  return at::rand(shape, at::make_generator<at::CPUGeneratorImpl>(stream)).sub_(0.5).mul_(scale);
 }
 
 // `want` is float64.
@@ -256,6 +252,25 @@ TEST_F(OwnKernels, KeepZeros) {
   input.narrow(2, kLit, 32 - kLit).zero_();
   const at::Tensor output = c.compute(input, Numbers(c.weight, 2, c.scale), at::zeros({64}));
   EXPECT_EQ(output.narrow(2, kLit + 2, 30 - kLit).count_nonzero().item<int64_t>(), 0);
+}
+
+// As at::relu: the check of a network's outputs must see it.
+TEST_F(OwnKernels, PassNanOn) {
+  const c10::NoGradGuard no_grad;
+  for (const Case& c : {FftCase(32, 2), DirectCase({3, 64, 5, 1, 2, 64}, 2, Activation::kRelu, false)}) {
+    const at::Tensor weight = Numbers(c.weight, 2, c.scale);
+    const at::Tensor bias = Numbers({64}, 3, 0.2);
+    const at::Tensor input = Numbers(c.input, 1, 1);
+    at::Tensor broken = input.clone();
+    broken[0][1][9][12] = std::numeric_limits<float>::quiet_NaN();
+    for (const CpuPath path : KernelPaths()) {
+      const ScopedCpuPath scoped(path);
+      SCOPED_TRACE(c.name + " " + CpuPathName(path));
+      const at::Tensor output = c.compute(broken, weight, bias);
+      EXPECT_TRUE(output[0].narrow(1, 7, 5).narrow(2, 10, 5).isnan().all().item<bool>());
+      EXPECT_TRUE(at::equal(output[1], c.compute(input, weight, bias)[1])) << "the other row";
+    }
+  }
 }
 
 TEST_F(OwnKernels, SayWhatFits) {

@@ -15,9 +15,6 @@ namespace craftfleet {
 
 constexpr int64_t kAttentionWidth = 256;  // of queries, keys and values, all heads together
 
-// Patches from one side of a map to the other.
-constexpr int64_t PatchesPerSide(int64_t size, int64_t patch, int64_t stride) { return (size - patch) / stride + 1; }
-
 // map float[N,C,H,W] -> float[N,patches,C*patch*patch]: squares of `patch` pixels every `stride` pixels, row by row,
 // each flattened in the order C,H,W. Pixels left over at the right and the bottom are ignored.
 at::Tensor CutPatches(const at::Tensor& map, int64_t patch, int64_t stride);

@@ -5,6 +5,7 @@
 
 #include <ATen/ATen.h>
 
+#include "common/agent/attention_map.h"
 #include "common/agent/nets/attention.h"
 #include "common/agent/nets/convolutions.h"
 #include "common/agent/nets/param_tensors.h"
@@ -54,8 +55,8 @@ at::Tensor CrossAttention::Queries(const ParamTensors& params) const {
 }
 
 std::vector<at::Tensor> CrossAttention::KeysValues(const ParamTensors& params, const at::Tensor& input) const {
-  const int64_t side = PatchesPerSide(input.size(2), config_.patch(), config_.stride());
-  const at::Tensor positions = Positions(side * side, input.device());
+  const PatchGrid grid = {static_cast<int>(input.size(2)), config_.patch(), config_.stride()};
+  const at::Tensor positions = Positions(grid.count(), input.device());
   if (!norm_tokens_.has_value()) {
     return to_kv_.ForwardPatches(params, input, config_.patch(), config_.stride(), positions).chunk(2, -1);
   }

@@ -42,9 +42,9 @@ CRAFTFLEET_SIMD_INLINE Vector Broadcast(float x) { return _mm512_set1_ps(x); }
 CRAFTFLEET_SIMD_INLINE Vector MulAdd(Vector a, Vector b, Vector c) { return _mm512_fmadd_ps(a, b, c); }
 // c - a b, rounded once.
 CRAFTFLEET_SIMD_INLINE Vector NegMulAdd(Vector a, Vector b, Vector c) { return _mm512_fnmadd_ps(a, b, c); }
-// Writes one bit a float to kWidth / 8 bytes, whether it is greater than `bound`; returns v where it is, else 0.
+// Writes one bit a float to kWidth / 8 bytes, whether it is greater than `bound` or NaN; returns v where it is, else 0.
 CRAFTFLEET_SIMD_INLINE Vector CutBelow(Vector v, Vector bound, uint8_t* bits) {
-  const __mmask16 above = _mm512_cmp_ps_mask(v, bound, _CMP_GT_OQ);
+  const __mmask16 above = _mm512_cmp_ps_mask(v, bound, _CMP_NLE_UQ);
   std::memcpy(bits, &above, sizeof(above));
   return _mm512_maskz_mov_ps(above, v);
 }
@@ -67,7 +67,7 @@ CRAFTFLEET_SIMD_INLINE Vector Broadcast(float x) { return _mm256_set1_ps(x); }
 CRAFTFLEET_SIMD_INLINE Vector MulAdd(Vector a, Vector b, Vector c) { return _mm256_fmadd_ps(a, b, c); }
 CRAFTFLEET_SIMD_INLINE Vector NegMulAdd(Vector a, Vector b, Vector c) { return _mm256_fnmadd_ps(a, b, c); }
 CRAFTFLEET_SIMD_INLINE Vector CutBelow(Vector v, Vector bound, uint8_t* bits) {
-  const Vector above = _mm256_cmp_ps(v, bound, _CMP_GT_OQ);
+  const Vector above = _mm256_cmp_ps(v, bound, _CMP_NLE_UQ);
   *bits = static_cast<uint8_t>(_mm256_movemask_ps(above));
   return _mm256_and_ps(v, above);
 }

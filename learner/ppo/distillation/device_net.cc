@@ -22,7 +22,7 @@ namespace {
 constexpr int64_t kRowsAtOnce = 512;   // without gradients
 constexpr int64_t kSentAtOnce = 4096;  // rows of pinned memory
 
-absl::Status Failure(const std::exception& error) { return DeviceError("distillation", error.what()); }
+absl::Status Failure(const std::exception& error) { return DistillingDeviceError("distillation", error.what()); }
 
 // Sends float[rows,width] or uint8, a row at a time from `row_of`; null: zeros.
 template <typename Value, typename RowOf>

@@ -37,7 +37,9 @@ absl::StatusOr<std::unique_ptr<RankWorker>> RankWorker::Connect(const Options& o
     return absl::OkStatus();
   };
   RankBuild build = {"", BuildId(), prepare()};
-  CRAFTFLEET_ASSIGN_OR_RETURN(build.canary, PolicyCanary());
+  if (build.objection.ok()) {
+    CRAFTFLEET_ASSIGN_OR_RETURN(build.canary, PolicyCanary(offer.config));
+  }
   CRAFTFLEET_ASSIGN_OR_RETURN(std::unique_ptr<RankLinks> links, meeting->Connect(build));
   std::unique_ptr<RankWorker> worker(new RankWorker(offer, std::move(updater), std::move(links)));
   CRAFTFLEET_RETURN_IF_ERROR(ShareState(worker->updater_.get(), &worker->group_));

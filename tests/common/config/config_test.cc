@@ -35,6 +35,11 @@ TEST(RunConfig, PrecisionDeviceOverlapAndStalenessAreAbsentUnlessChosen) {
   EXPECT_EQ(FromText("precision: BF16 device: CUDA_UPDATES").device(), v1::RunConfig::CUDA_UPDATES);
 }
 
+TEST(RunConfig, Bf16GoesWithCpusThatHaveItAndWithGpus) {
+  EXPECT_EQ(FromText("precision: BF16 cpu: AVX512").cpu(), v1::RunConfig::AVX512);
+  EXPECT_EQ(FromText("precision: BF16 cpu: AVX2 device: CUDA").cpu(), v1::RunConfig::AVX2);
+}
+
 TEST(RunConfig, AnAgentHasItsOwnDefaults) {
   const v1::RunConfig resnet = FromText("agent: \"ppo_resnet\" ppo { epochs: 5 }");
   EXPECT_EQ(resnet.lanes(), 8);
@@ -216,6 +221,10 @@ INSTANTIATE_TEST_SUITE_P(
         BadValue{"ppo { minibatch_size: 100 }",
                  "ppo.rollout_steps is 4096, want a multiple of ppo.minibatch_size (100)"},
         BadValue{"gradient_shards: 3", "ppo.minibatch_size is 128, want a multiple of gradient_shards (3)"},
+        BadValue{"precision: BF16 cpu: AVX2",
+                 "precision is BF16 and cpu is AVX2, which has no bfloat16: want cpu: NATIVE or AVX512, or precision: "
+                 "FP32"},
+        BadValue{"precision: BF16 cpu: AVX2 device: CUDA_UPDATES", "precision is BF16 and cpu is AVX2"},
         BadValue{"agent: 'lstm_cnn' ppo { recurrent_batches: RECURRENT_BATCHES_UNSPECIFIED }",
                  "ppo.recurrent_batches is RECURRENT_BATCHES_UNSPECIFIED or unknown, want SEGMENTS or PUBLISHED"}));
 

@@ -246,6 +246,22 @@ TEST_P(DistillerOn, AStoppedPhaseChangesNothing) {
   EXPECT_TRUE(StateOf(*updater) == StateOf(*other)) << "as if it had not been stopped";
 }
 
+TEST(Distiller, WithoutMemoryAPhaseSaysWhatToLowerAndLosesNothing) {
+  const auto updater = *PpoUpdater::Create(Config(), 1, kStandInDevice);
+  ASSERT_THAT(Update(0, updater.get()), IsOk());
+  const std::string before = StateOf(*updater);
+  int asked = 0;
+  const auto in_the_phase = [&] {  // PPO has three minibatches
+    if (++asked == 9) RunOutOfMemoryAfter(1);
+    return false;
+  };
+  EXPECT_THAT(updater->Update(1, Sample(1, updater->spec().state_size).rollout, in_the_phase),
+              StatusIs(absl::StatusCode::kResourceExhausted,
+                       testing::AllOf(testing::HasSubstr("lower distillation.minibatch_size, then distillation.every"),
+                                      testing::Not(testing::HasSubstr("ppo.minibatch_size")))));
+  EXPECT_TRUE(StateOf(*updater) == before);
+}
+
 TEST(Distiller, PredictionIsLearned) {
   v1::RunConfig config = Config();
   config.mutable_distillation()->set_epochs(5);
