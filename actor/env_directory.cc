@@ -77,7 +77,7 @@ absl::StatusOr<std::shared_ptr<EnvDirectory>> EnvDirectory::Parse(absl::string_v
             absl::StrFormat("--%s: \"%s\" is not an address, want dns:HOST:PORT", flag, entry));
       }
       const size_t colon = address.rfind(':');
-      directory->names_.push_back({std::string(address.substr(0, colon)), std::string(address.substr(colon + 1))});
+      directory->names_.push_back({WithoutBrackets(address.substr(0, colon)), std::string(address.substr(colon + 1))});
     } else {
       CRAFTFLEET_RETURN_IF_ERROR(wire::CheckAddress(flag, entry));
       listed.push_back(entry);

@@ -36,9 +36,6 @@ void Light(float light, uint8_t* pixel) {
   }
 }
 
-// "0%", "0.052%", "12%": two digits.
-std::string Percent(double part) { return part == 0 ? "0%" : absl::StrFormat("%.2g%%", 100 * part); }
-
 // Draws text on a strip, vertically centred, with its left end, centre or right end at `x`.
 enum class Align { kLeft, kCenter, kRight };
 void DrawLabel(const std::string& text, int x, Align align, cv::Mat* strip) {
@@ -64,12 +61,17 @@ cv::Mat DrawScale(int picture_size, const AttentionLight& light) {
   }
   DrawLabel("attention", picture_size - margin, Align::kRight, &strip);
   DrawLabel("0%", left, Align::kLeft, &strip);
-  if (picture_size >= 160) DrawLabel(Percent(light.middle), (left + right) / 2, Align::kCenter, &strip);
-  DrawLabel(Percent(light.highest), right, Align::kRight, &strip);
+  if (picture_size >= 160) DrawLabel(PercentText(light.middle), (left + right) / 2, Align::kCenter, &strip);
+  DrawLabel(PercentText(light.highest), right, Align::kRight, &strip);
   return strip;
 }
 
 }  // namespace
+
+std::string PercentText(double part) {
+  if (part >= 0.1) return absl::StrFormat("%.0f%%", 100 * part);
+  return absl::StrFormat("%.2g%%", 100 * part);
+}
 
 AttentionLight LightToHighest(const PatchGrid& grid, absl::Span<const float> weights) {
   AttentionLight light = {SpreadOverPixels(grid, weights), 0, 0};

@@ -31,6 +31,9 @@ AttentionLight LightToHighest(const PatchGrid& grid, absl::Span<const float> wei
 std::string OverlayAttention(absl::string_view picture, int picture_size, absl::Span<const float> brightness,
                              int frame_size);
 
+// "0%", "0.052%", "12%", "190%": two digits below 100%.
+std::string PercentText(double part);
+
 // Height of the strip below the pictures of BesideOverlay, pixels; even.
 int ScaleHeight(int picture_size);
 

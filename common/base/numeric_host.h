@@ -1,4 +1,4 @@
-// Addresses of hosts as numbers.
+// Addresses of hosts as numbers, and as getaddrinfo takes them.
 
 #ifndef CRAFTFLEET_COMMON_BASE_NUMERIC_HOST_H_
 #define CRAFTFLEET_COMMON_BASE_NUMERIC_HOST_H_
@@ -9,6 +9,9 @@
 
 #include <string>
 
+#include <absl/strings/string_view.h>
+#include <absl/strings/strip.h>
+
 namespace craftfleet {
 
 // "10.0.0.7" or "fe80::1%eth0", of an IPv4 or IPv6 address; "": another kind. Thread-safe.
@@ -16,6 +19,12 @@ inline std::string NumericHost(const sockaddr* address) {
   const socklen_t size = address->sa_family == AF_INET6 ? sizeof(sockaddr_in6) : sizeof(sockaddr_in);
   char host[NI_MAXHOST];
   return getnameinfo(address, size, host, sizeof(host), nullptr, 0, NI_NUMERICHOST) == 0 ? host : "";
+}
+
+// "::1" of "[::1]"; other hosts as they are.
+inline std::string WithoutBrackets(absl::string_view host) {
+  if (absl::ConsumePrefix(&host, "[")) absl::ConsumeSuffix(&host, "]");
+  return std::string(host);
 }
 
 }  // namespace craftfleet

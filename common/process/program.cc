@@ -4,6 +4,7 @@
 #include <poll.h>
 #include <signal.h>
 #include <sys/resource.h>
+#include <time.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -86,14 +87,24 @@ constexpr char kEndByte = 'e';
 
 // Globals, because a signal handler has no context argument.
 int g_signal_pipe[2] = {-1, -1};
-std::atomic<int> g_signals{0};  // SIGHUP is not counted
+std::atomic<int64_t> g_first_signal_ns{0};  // of CLOCK_MONOTONIC; 0: none yet; SIGHUP is not counted
+
+// timeout(1) sends SIGTERM to its child, and at once to the child's group.
+constexpr int64_t kOneRequestNs = 500'000'000;
 
 std::terminate_handler g_terminate = nullptr;
 
 void OnSignal(int signal) {
-  // Exits here, because the thread of StopSignal may be busy with the first signal.
-  if (signal != SIGHUP && ++g_signals > 1) _exit(kStoppedExitCode);
   const int saved_errno = errno;
+  if (signal != SIGHUP) {
+    timespec now = {};
+    clock_gettime(CLOCK_MONOTONIC, &now);
+    const int64_t now_ns = int64_t{now.tv_sec} * 1'000'000'000 + now.tv_nsec;
+    int64_t first_ns = 0;
+    const bool is_first = g_first_signal_ns.compare_exchange_strong(first_ns, now_ns);
+    // Exits here, because the thread of StopSignal may be busy with the first signal.
+    if (!is_first && now_ns - first_ns > kOneRequestNs) _exit(kStoppedExitCode);
+  }
   [[maybe_unused]] const ssize_t written = write(g_signal_pipe[1], &kSignalByte, 1);
   errno = saved_errno;
 }
@@ -351,7 +362,7 @@ void OutliveReaders() { signal(SIGPIPE, SIG_IGN); }
 
 StopSignal::StopSignal(std::function<void()> stop) {
   CRAFTFLEET_CHECK(pipe(g_signal_pipe) == 0);
-  g_signals = 0;
+  g_first_signal_ns = 0;
   before_ = MaskStopSignals(SIG_BLOCK);
   thread_ = std::thread([stop = std::move(stop)] {
     MaskStopSignals(SIG_UNBLOCK);

@@ -43,9 +43,10 @@ void OutliveReaders();
 inline constexpr int kStoppedExitCode = 130;
 
 // Calls `stop` once, on a thread of its own, at the first SIGTERM, SIGINT or SIGHUP (the terminal was closed). A second
-// SIGTERM or SIGINT ends the process at once, even while `stop` runs; SIGHUP never does, because a shell and the kernel
-// may both send it. A program started with nohup keeps ignoring SIGHUP. None of them interrupts the thread that has the
-// object (stop_signals.h). At most one object at a time in a process; create it before other threads start.
+// SIGTERM or SIGINT ends the process at once, even while `stop` runs, unless it comes within half a second: timeout(1)
+// sends two. SIGHUP never does, because a shell and the kernel may both send it. A program started with nohup keeps
+// ignoring SIGHUP. None of them interrupts the thread that has the object (stop_signals.h). At most one object at a
+// time in a process; create it before other threads start.
 class StopSignal {
  public:
   explicit StopSignal(std::function<void()> stop);

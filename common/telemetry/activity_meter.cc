@@ -115,7 +115,12 @@ Work ActivityMeter::Total() const {
   const absl::Time time = clock_->Now();
   const MutexLock lock(&mu_);
   Advance(time);
-  return Between(start_, now_);
+  Work work = Between(start_, now_);
+  for (const Activity activity : kActivities) {
+    double& most = most_[activity];
+    most = work.times[activity] = std::max(most, work.times[activity]);
+  }
+  return work;
 }
 
 Work ActivityMeter::Recent() const {

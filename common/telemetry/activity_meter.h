@@ -81,7 +81,8 @@ class ActivityMeter {
   // Begins a cycle of work, such as an iteration: Recent covers at least one whole cycle.
   void BeginCycle() ABSL_LOCKS_EXCLUDED(mu_);
 
-  // Since the meter was made.
+  // Since the meter was made. No activity's time falls: what was returned of a span that is split later stays until
+  // the activity has lasted as long. Until then the times add up to more than `seconds`.
   Work Total() const ABSL_LOCKS_EXCLUDED(mu_);
   // Over the last kWindow, or since the beginning of the last finished cycle if that is longer ago.
   Work Recent() const ABSL_LOCKS_EXCLUDED(mu_);
@@ -103,6 +104,7 @@ class ActivityMeter {
   absl::Time switched_ ABSL_GUARDED_BY(mu_);  // start of the current activity
   const Mark start_;
   mutable Mark now_ ABSL_GUARDED_BY(mu_);
+  mutable ByActivity most_ ABSL_GUARDED_BY(mu_);             // that Total has returned
   mutable std::deque<Mark> marks_ ABSL_GUARDED_BY(mu_);      // about the window's age and younger, oldest first
   std::optional<Mark> finished_cycle_ ABSL_GUARDED_BY(mu_);  // where the last finished cycle began
   std::optional<Mark> cycle_ ABSL_GUARDED_BY(mu_);           // where the current one began

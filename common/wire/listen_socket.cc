@@ -13,7 +13,6 @@
 #include <absl/cleanup/cleanup.h>
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
-#include <absl/strings/strip.h>
 
 #include "common/base/numeric_host.h"
 #include "common/base/status_macros.h"
@@ -36,10 +35,11 @@ absl::StatusOr<std::unique_ptr<ListenSocket>> ListenSocket::Create(const std::st
   const size_t colon = address.rfind(':');
   std::string host = address.substr(0, colon);
   std::unique_ptr<ListenSocket> socket(new ListenSocket);
-  absl::Status bound = socket->Bind(address);
-  if (!bound.ok() && host == "[::]") {  // a host without IPv6
+  int error = 0;
+  absl::Status bound = socket->Bind(address, &error);
+  if (host == "[::]" && (error == EAFNOSUPPORT || error == EADDRNOTAVAIL)) {  // a host without IPv6
     host = "0.0.0.0";
-    bound = socket->Bind(absl::StrCat(host, address.substr(colon)));
+    bound = socket->Bind(absl::StrCat(host, address.substr(colon)), &error);
   }
   CRAFTFLEET_RETURN_IF_ERROR(bound);
   sockaddr_in6 actual = {};  // a sockaddr_in has its port at the same place
@@ -55,40 +55,37 @@ ListenSocket::~ListenSocket() {
   if (descriptor_ >= 0) close(descriptor_);
 }
 
-absl::Status ListenSocket::Bind(absl::string_view address) {
+absl::Status ListenSocket::Bind(absl::string_view address, int* error) {
   const size_t colon = address.rfind(':');
-  absl::string_view host = address.substr(0, colon);
-  if (absl::ConsumePrefix(&host, "[")) absl::ConsumeSuffix(&host, "]");
+  const std::string host = WithoutBrackets(address.substr(0, colon));
   addrinfo hints = {};
   hints.ai_socktype = SOCK_STREAM;
   hints.ai_flags = AI_PASSIVE | AI_NUMERICSERV;
   addrinfo* found = nullptr;
-  if (const int error =
-          getaddrinfo(std::string(host).c_str(), std::string(address.substr(colon + 1)).c_str(), &hints, &found);
-      error != 0) {
+  if (const int unknown = getaddrinfo(host.c_str(), std::string(address.substr(colon + 1)).c_str(), &hints, &found);
+      unknown != 0) {
     return absl::UnavailableError(
-        absl::StrFormat("cannot listen on %s: %s; choose another address", address, gai_strerror(error)));
+        absl::StrFormat("cannot listen on %s: %s; choose another address", address, gai_strerror(unknown)));
   }
   const absl::Cleanup free_found = [found] { freeaddrinfo(found); };
   std::vector<const addrinfo*> entries;
   for (const addrinfo* entry = found; entry != nullptr; entry = entry->ai_next) entries.push_back(entry);
   std::stable_partition(entries.begin(), entries.end(), [](const addrinfo* e) { return e->ai_family == AF_INET; });
-  int error = 0;
   for (const addrinfo* entry : entries) {
-    error = BindTo(*entry);
-    if (error == 0 && IsLoopbackAddress(*entry) && !IsLoopback(address)) {
+    *error = BindTo(*entry);
+    if (*error == 0 && IsLoopbackAddress(*entry) && !IsLoopback(address)) {
       LogWarning(
           "%s: on this host the name is an address of loopback (see /etc/hosts): other hosts cannot connect; listen "
           "on an address of the network, or on [::]",
           address);
     }
-    if (error == 0) return absl::OkStatus();
-    if (error == EADDRINUSE) break;
+    if (*error == 0) return absl::OkStatus();
+    if (*error == EADDRINUSE) break;
   }
   return absl::UnavailableError(absl::StrFormat(
       "cannot listen on %s: %s (%s)", address,
-      error == EADDRINUSE ? "the port is in use; choose another" : "the host is not this machine, or not allowed",
-      std::generic_category().message(error)));
+      *error == EADDRINUSE ? "the port is in use; choose another" : "the host is not this machine, or not allowed",
+      std::generic_category().message(*error)));
 }
 
 int ListenSocket::BindTo(const addrinfo& entry) {

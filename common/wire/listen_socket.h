@@ -31,7 +31,8 @@ class ListenSocket {
 
  private:
   ListenSocket() = default;
-  absl::Status Bind(absl::string_view address);
+  // `error`: becomes the errno of an address that cannot be bound.
+  absl::Status Bind(absl::string_view address, int* error);
   // Returns 0 or an errno.
   int BindTo(const addrinfo& entry);
 

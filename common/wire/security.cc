@@ -186,6 +186,10 @@ absl::Status ChannelSecurity::Explain(const absl::Status& error, absl::string_vi
 
 std::string ChannelSecurity::ExplainConnection(absl::string_view error, absl::string_view address) const {
   const TlsFiles& files = options_.files;
+  if (absl::StrContains(error, "Cancelling all calls")) return "it has stopped";
+  if (absl::StrContains(error, "http1.x") || absl::StrContains(error, "parsing HTTP/2")) {
+    return "what listens there speaks HTTP, not gRPC: is it the port of the metrics or of the page?";
+  }
   if (absl::StrContains(error, "wrong version number")) {
     return "what listens there does not speak TLS: start it with --tls_cert and --tls_key, or leave --tls_ca out here";
   }

@@ -1,6 +1,9 @@
 #include "deploy/cli/status_text.h"
 
 #include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <string>
 
 #include <absl/strings/ascii.h>
 #include <absl/strings/str_cat.h>
@@ -16,6 +19,12 @@ void AddLine(absl::string_view line, std::string* text) { absl::StrAppend(text, 
 
 void AddField(absl::string_view name, absl::string_view value, std::string* text) {
   AddLine(absl::StrFormat("%-24s %s", name, value), text);
+}
+
+// "12288", "0.25".
+std::string NumberText(double value) {
+  const bool is_whole = std::abs(value) < 0x1p53 && value == std::trunc(value);
+  return is_whole ? absl::StrCat(static_cast<int64_t>(value)) : absl::StrFormat("%.10g", value);
 }
 
 void AddTimes(const google::protobuf::RepeatedPtrField<v1::ActivityTime>& times, std::string* text) {
@@ -70,7 +79,7 @@ std::string StatusText(const v1::StatusReply& reply) {
   }
   if (!reply.metrics_address().empty()) AddField("metrics", reply.metrics_address(), &text);
   for (const v1::Metric& metric : reply.metrics()) {
-    AddField(metric.name(), absl::StrFormat("%.10g %s", metric.value(), metric.unit()), &text);
+    AddField(metric.name(), absl::StrCat(NumberText(metric.value()), " ", metric.unit()), &text);
   }
   if (!reply.summary().gpu().empty()) AddField("gpu", reply.summary().gpu(), &text);
   if (!reply.summary().last_error().empty()) AddField("last error", reply.summary().last_error(), &text);

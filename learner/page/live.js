@@ -144,7 +144,7 @@ const activityColours = {
 };
 const stateWords = { TRAINING: "Training", PAUSED: "Paused", EVALUATING: "Evaluating", COMPLETE: "Complete" };
 
-const live = { token: "", tag: "", frame: 0, goal: 0, steer: false, state: "", stopping: false };
+const live = { token: "", learner: "", tag: "", frame: 0, goal: 0, steer: false, state: "", stopping: false };
 
 // Requests `path` with the token. It is relative to the page, before whose path a proxy may put its own. Throws {code, text} unless the
 // server answers 200 or 304.
@@ -244,13 +244,16 @@ function showWorker(row, peer, published) {
   setText(time, busiest.map((part) => `${part.activity} ${decimals(100 * part.share, 0)} %`).join(", "));
   const drained = peer.drain && peer.drain !== "NO_DRAIN";
   const wanted = live.steer && peer.role !== "learner" && (["OK", "SLOW"].includes(peer.health) || drained) ? (drained ? "Undrain" : "Drain") : "";
-  if (steer.textContent === wanted) return;
+  const worker = peer.name || peer.address;  // another one than before, once some join or leave
+  const label = wanted && `${wanted} ${worker}`;
+  if (steer.dataset.label === label) return;
+  steer.dataset.label = label;
   steer.replaceChildren();
   if (!wanted) return;
   const button = make("button", "", wanted);
   button.type = "button";
-  button.setAttribute("aria-label", `${wanted} ${peer.name || peer.address}`);
-  button.addEventListener("click", () => steerRun(`${wanted.toLowerCase()}?worker=${encodeURIComponent(peer.name || peer.address)}`));
+  button.setAttribute("aria-label", label);
+  button.addEventListener("click", () => steerRun(`${wanted.toLowerCase()}?worker=${encodeURIComponent(worker)}`));
   steer.append(button);
 }
 
@@ -355,10 +358,12 @@ async function update(views) {
   const steer = reply.headers.get("X-Craftfleet-Steer") === "yes";
   const status = await reply.json();
   live.steer = steer;
+  const restarted = live.learner !== status.name;  // what the page knows is of the learner before
+  if ((restarted && live.stopping) || $("live").hidden || live.state === "Refused") setText($("message"), "");
+  if (restarted) Object.assign(live, { learner: status.name, tag: "", frame: 0, stopping: false });
   $("steering").hidden = !steer;
   $("sign-in").hidden = true;
   $("live").hidden = false;
-  if (live.state === "Refused") setText($("message"), "");
   showStatus(status);
   // Unless an iteration has ended since, the answer is 304.
   const curves = await ask("curves.json", live.tag ? { headers: { "If-None-Match": live.tag } } : {});
@@ -415,7 +420,7 @@ function startLive() {
     achievements: achievementBars($("achievements")),
   };
   // A link may have the token behind "#", which browsers do not send.
-  const link = new URLSearchParams(location.hash.slice(1)).get("token");
+  const link = new URLSearchParams(location.hash.slice(1).replaceAll("+", "%2B")).get("token");  // else "+" is a blank
   if (link) {
     sessionStorage.setItem("token", link);
     history.replaceState(null, "", location.pathname);

@@ -62,7 +62,8 @@ std::string OwnAddress(const RankOptions& options) {
   addrinfo hints = {};
   hints.ai_socktype = SOCK_DGRAM;
   addrinfo* found = nullptr;
-  if (getaddrinfo(options.master_addr.c_str(), absl::StrCat(options.master_port).c_str(), &hints, &found) != 0) {
+  const std::string master = WithoutBrackets(options.master_addr);
+  if (getaddrinfo(master.c_str(), absl::StrCat(options.master_port).c_str(), &hints, &found) != 0) {
     return own;
   }
   for (const addrinfo* each = found; each != nullptr; each = each->ai_next) {

@@ -215,12 +215,12 @@ TEST_F(ActorTest, OtherActorsContinueTheLanesOfAStoppedActorAtOnce) {
   const absl::Time start = absl::Now();
   first.Stop();
   EXPECT_TRUE(WaitUntil([this] { return learner_->OutstandingPermits() == std::vector<int>{4}; }));
-  EXPECT_LT(absl::Now() - start, absl::Seconds(2));
+  EXPECT_LT(absl::Now() - start, absl::Seconds(5));
   EXPECT_THAT(first.Join(), IsOk());
   EXPECT_EQ(learner_->registry().lanes()->table().counters.lapsed, 0);
 }
 
-TEST_F(ActorTest, ANewActorGetsItsShareWithin2Seconds) {
+TEST_F(ActorTest, ANewActorGetsItsShareWithin5Seconds) {
   learner_->registry().OpenIteration(1000 * kFragmentsPerIteration, 0);
   learner_->Publish(0);
   RunningActor first(learner_->Connect(), {env_.Connect()});
@@ -228,7 +228,7 @@ TEST_F(ActorTest, ANewActorGetsItsShareWithin2Seconds) {
   const absl::Time start = absl::Now();
   RunningActor second(learner_->Connect(), {env_.Connect()});
   EXPECT_TRUE(WaitUntil([this] { return learner_->OutstandingPermits() == std::vector<int>{2, 2}; }));
-  EXPECT_LT(absl::Now() - start, absl::Seconds(2));
+  EXPECT_LT(absl::Now() - start, absl::Seconds(5));
 }
 
 // A hanging learner must not delay the stop.

@@ -66,6 +66,12 @@ TEST(EnvDirectory, ResolvesEveryAddressOfAName) {
   }
 }
 
+TEST(EnvDirectory, ResolvesAnIpv6Address) {
+  const auto directory = EnvDirectory::Parse("envservers", "dns:[::1]:1").value();
+  ASSERT_TRUE(WaitUntil([&] { return !directory->Servers().empty(); }));
+  EXPECT_THAT(AddressesOf(*directory), ElementsAre("[::1]:1"));
+}
+
 // The success of another name made it a new error in each round.
 TEST(EnvDirectory, ANameThatCannotBeLookedUpIsNamedOnce) {
   const std::string bad = absl::StrCat("dns:", std::string(64, 'a'), ":1");  // longer than a label may be

@@ -13,6 +13,11 @@ from tests.fakes.python_case import SOURCE, wait_until
 LONG_GAMES = python_case.ENDLESS.replace("length: 20", "length: 200")
 LOOKS = [(390, False), (390, True), (1440, False), (1440, True)]
 TEXT = "return document.getElementById(arguments[0]).textContent"
+# [the worker's name, the button's label] of each row with a button.
+STEERED = """
+return [...document.querySelectorAll("#workers button")].map((button) =>
+  [button.closest("tr").querySelector("th").firstChild.textContent, button.ariaLabel]);
+"""
 
 
 class LivePage(python_case.ProcessCase):
@@ -24,11 +29,19 @@ class LivePage(python_case.ProcessCase):
                         "--http_listen=127.0.0.1:0", *flags)
     return self.word_after(log, "live page on "), log
 
-  def start_fleet(self):
+  def start_without_actor(self):
+    """A learner and an environment server; returns the page's URL and the learner's address."""
     url, log = self.start_run("craftfleet-learner", "--listen=127.0.0.1:0")
     learner = self.word_after(log, "listening on ")
     self.start("craftfleet-envserver", "--listen=127.0.0.1:0", f"--learner={learner}")
+    return url, learner
+
+  def start_actor(self, learner):
     self.start("craftfleet-actor", f"--learner={learner}", "--envservers=learner", "--threads=1")
+
+  def start_fleet(self):
+    url, learner = self.start_without_actor()
+    self.start_actor(learner)
     return url
 
   def text(self, driver, element):
@@ -107,6 +120,16 @@ class LivePage(python_case.ProcessCase):
     wait_until(lambda: "drain" not in self.text(driver, "workers"), "the worker to work again")
     self.assertEqual(browser.errors(driver), [])
 
+  def test_each_button_steers_the_worker_of_its_row(self):
+    driver = browser.open_browser(self)
+    url, learner = self.start_without_actor()
+    driver.get(url)
+    wait_until(lambda: driver.execute_script(STEERED), "a button to drain the server")
+    self.start_actor(learner)  # it takes the server's row
+    wait_until(lambda: len(driver.execute_script(STEERED)) == 2, "a button to drain the actor")
+    for name, label in driver.execute_script(STEERED):
+      self.assertEqual(label, f"Drain {name}")
+
   def test_stopping_asks_first_and_ends_the_learner_with_a_checkpoint(self):
     driver = browser.open_browser(self)
     url, log = self.start_run()
@@ -133,14 +156,18 @@ class LivePage(python_case.ProcessCase):
     wait_until(lambda: "resume" in log.read_text().split(": stop")[-1], "the learner's last words")
     self.wait_for_text(driver, "state-text", "Stopped")
     self.assertGreater(len(list((self.folder / "run/checkpoints").glob("iter-*"))), 0)
+    self.start_run("craftfleet train", f"--http_listen={url.split('/')[2]}", "--resume")
+    self.wait_for_text(driver, "state-text", "Training")
+    self.assertTrue(driver.find_element("id", "stop").is_enabled(), "the run that goes on can be stopped too")
+    self.assertEqual(self.text(driver, "message"), "")
 
   def start_secured(self):
     """A run whose page is beyond loopback; returns its port and the log."""
     subprocess.run([SOURCE / "deploy/make-certs.sh", self.folder / "certs", "learner"], check=True, capture_output=True)
-    clients = [("watcher", "right: WATCH"), ("steerer", "right: WATCH right: STEER")]
+    clients = [("watcher", "right: WATCH"), ("st+eerer", "right: WATCH right: STEER")]
     (self.folder / "access.txt").write_text("".join(
-        f'client {{ name: "{name}" token_sha256: "{hashlib.sha256(name.encode()).hexdigest()}" {rights} }}\n'
-        for name, rights in clients))
+        f'client {{ name: "{token[-6:]}" token_sha256: "{hashlib.sha256(token.encode()).hexdigest()}" {rights} }}\n'
+        for token, rights in clients))
     certs = self.folder / "certs"
     url, log = self.start_run("craftfleet-learner", "--listen=127.0.0.1:0", "--http_listen=0.0.0.0:0",
                               f"--tls_ca={certs}/ca.pem", f"--tls_cert={certs}/learner.pem",
@@ -192,11 +219,12 @@ class LivePage(python_case.ProcessCase):
       wait_until(lambda wanted=shown: driver.find_element("id", "live").is_displayed() == wanted and
                  driver.find_element("id", "sign-in").is_displayed() != wanted, token)
     self.wait_for_text(driver, "state-text", "Training")
+    self.assertEqual(self.text(driver, "message"), "", "nothing about the wrong token")
     for button in ["pause", "stop"]:
       self.assertFalse(driver.find_element("id", button).is_displayed())
     driver.execute_script("sessionStorage.clear()")
     driver.get("about:blank")
-    driver.get(url + "#token=steerer")
+    driver.get(url + "#token=st+eerer")
     wait_until(lambda: driver.find_element("id", "pause").is_displayed(), "the buttons of those who may steer")
     self.assertEqual(driver.current_url, url)
 

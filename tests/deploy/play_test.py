@@ -6,6 +6,7 @@ import os
 import pty
 import re
 import shlex
+import signal
 import struct
 import subprocess
 import termios
@@ -65,6 +66,19 @@ class Play(python_case.FolderCase):
         self.assertEqual(process.wait(20), 0)
         self.assertIn(wanted, shown)
         self.assertNotIn(unwanted, shown)
+
+  def test_without_its_terminal_it_ends_even_if_hangups_are_ignored(self):
+    master, terminal = pty.openpty()
+    fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 40, 120, 0, 0))
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as under nohup
+    process = subprocess.Popen([*PLAY, "--terminal", "--wait", "--seed=3"], stdin=terminal, stdout=terminal, stderr=subprocess.PIPE)
+    signal.signal(signal.SIGHUP, before)
+    self.addCleanup(process.kill)
+    os.close(terminal)
+    os.read(master, 65536)  # it has begun
+    os.close(master)
+    _, errors = process.communicate(timeout=20)
+    self.assertEqual((process.returncode, errors), (0, b""))
 
   def test_a_signal_restores_the_terminal_and_keeps_the_recording(self):
     command = shlex.join([*map(str, PLAY), "--terminal", "--fps=20", "--seed=3", f"--record={self.folder}/recordings"])

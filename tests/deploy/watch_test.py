@@ -198,6 +198,16 @@ class Watch(Fleet):
       process.terminate()
       self.assertEqual(process.wait(timeout=10), 0 if begin == "craftfleet top" else -signal.SIGTERM)
 
+  def test_a_learner_that_stops_ends_its_watchers_with_a_word(self):
+    learner, _, self.learner = self.start_learner()
+    watcher = subprocess.Popen([*built("craftfleet status"), "--watch", f"--address={self.learner}"], stdout=subprocess.PIPE,
+                               stderr=subprocess.PIPE, text=True)
+    self.addCleanup(watcher.kill)
+    watcher.stdout.readline()
+    learner.terminate()
+    _, errors = watcher.communicate(timeout=60)
+    self.assertEqual((watcher.returncode, errors), (1, f"craftfleet status: {self.learner}: it has stopped\n"))
+
   def test_top_is_live_in_a_terminal_and_survives_its_learner(self):
     process, _, self.learner = self.start_learner()
     command = shlex.join([*map(str, built("craftfleet top")), f"--address={self.learner}", "--interval=100ms"])
@@ -234,8 +244,10 @@ class Watch(Fleet):
       self.assertEqual((line["level"], line["program"]), ("info", "craftfleet-learner"))
 
   def test_quiet_logs_contain_only_errors(self):
-    process, log = self.start("craftfleet-envserver", "--listen=127.0.0.1:0", "--log_level=error",
-                              "--learner=127.0.0.1:1")
+    address = f"unix:{self.folder}/socket"
+    process, log = self.start("craftfleet-envserver", f"--listen={address}", "--log_level=error", "--learner=127.0.0.1:1")
+    wait_until((self.folder / "socket").exists, "it serves")
+    self.run_program("craftfleet status", f"--address={address}")
     with self.assertRaises(subprocess.TimeoutExpired):
       process.wait(timeout=1)
     process.terminate()

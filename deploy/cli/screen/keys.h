@@ -17,7 +17,7 @@ inline constexpr Key kUpKey = 256;  // the arrows in the order of terminals' esc
 inline constexpr Key kDownKey = 257;
 inline constexpr Key kRightKey = 258;
 inline constexpr Key kLeftKey = 259;
-inline constexpr Key kCloseKey = 260;  // Ctrl-C in a terminal, or the window was closed
+inline constexpr Key kCloseKey = 260;  // Ctrl-C in a terminal, or the terminal or window was closed
 
 // Takes the keys from `bytes` of a terminal, but leaves an escape sequence at the end that may continue, such as
 // "\x1b". Unknown sequences are skipped.

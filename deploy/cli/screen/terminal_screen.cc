@@ -32,14 +32,19 @@ void Write(absl::string_view text) {
   }
 }
 
-// Appends to `bytes` what is typed within `timeout`, or some of it. Returns whether there was something.
-bool Read(absl::Duration timeout, std::string* bytes) {
+enum class Input { kNone, kSome, kEnd };
+
+// Appends to `bytes` what is typed within `timeout`, or some of it. kEnd: the terminal is gone.
+Input Read(absl::Duration timeout, std::string* bytes) {
   pollfd input = {STDIN_FILENO, POLLIN, 0};
-  if (poll(&input, 1, static_cast<int>(absl::ToInt64Milliseconds(timeout))) <= 0) return false;
+  if (poll(&input, 1, static_cast<int>(absl::ToInt64Milliseconds(timeout))) <= 0) return Input::kNone;
   char buffer[64];
   const ssize_t count = read(STDIN_FILENO, buffer, sizeof(buffer));
-  if (count > 0) bytes->append(buffer, static_cast<size_t>(count));
-  return count > 0;
+  if (count > 0) {
+    bytes->append(buffer, static_cast<size_t>(count));
+    return Input::kSome;
+  }
+  return count == 0 || (input.revents & (POLLHUP | POLLERR)) != 0 ? Input::kEnd : Input::kNone;
 }
 
 // Columns and lines; 80 and 24 if the terminal does not report its size.
@@ -144,12 +149,13 @@ absl::Status TerminalScreen::Show(const View& view) {
 Key TerminalScreen::ReadKey(absl::Duration timeout) {
   if (keys_.empty()) {
     std::string bytes;
-    bool more = Read(timeout, &bytes);
-    while (more) {
+    Input input = Read(timeout, &bytes);
+    while (input == Input::kSome) {
       for (const Key key : TakeKeys(&bytes)) keys_.push_back(key);
-      more = !bytes.empty() && Read(kSequenceGap, &bytes);
+      input = bytes.empty() ? Input::kNone : Read(kSequenceGap, &bytes);
     }
     if (bytes == "\x1b") keys_.push_back(kEscapeKey);
+    if (input == Input::kEnd) keys_.push_back(kCloseKey);
   }
   if (keys_.empty()) return kNoKey;
   const Key key = keys_.front();

@@ -76,6 +76,16 @@ TEST(LightToHighest, GivesTheHighestWeightFullBrightness) {
   EXPECT_EQ(LightToHighest(kGrid, {0, 0, 0, 0}).brightness, std::vector<float>(16));
 }
 
+TEST(PercentText, HasTwoDigitsBelow100) {
+  EXPECT_EQ(PercentText(0), "0%");
+  EXPECT_EQ(PercentText(0.00052), "0.052%");
+  EXPECT_EQ(PercentText(0.0996), "10%");
+  EXPECT_EQ(PercentText(0.124), "12%");
+  EXPECT_EQ(PercentText(0.995), "100%");
+  EXPECT_EQ(PercentText(1), "100%");
+  EXPECT_EQ(PercentText(1.9), "190%");
+}
+
 TEST(BesideOverlay, HasAColourBarBelowThatGetsBrighterToTheRight) {
   for (const int size : {64, 288}) {
     const std::string whole = BesideOverlay(Plain(size, {1, 2, 3}), Plain(size, {7, 8, 9}), size, {{}, 0.01, 0.04});

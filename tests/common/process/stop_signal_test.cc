@@ -4,6 +4,7 @@
 #include <csignal>
 #include <thread>
 
+#include <absl/time/clock.h>
 #include <gtest/gtest.h>
 
 #include "common/process/program.h"
@@ -61,6 +62,22 @@ TEST(StopSignal, HangupsCallStopOnceAndNeverForceAnExit) {
   signal(SIGHUP, SIG_DFL);
 }
 
+// timeout(1) sends one to its child and one to the child's group.
+TEST(StopSignal, TwoAtOnceAreOneRequest) {
+  std::atomic<int> stops{0};
+  {
+    StopSignal signal([&stops] { ++stops; });
+    Send(SIGTERM);
+    Send(SIGINT);  // a second SIGTERM might merge with the first
+    EXPECT_TRUE(WaitUntil([&] {
+      sigset_t waiting;
+      sigpending(&waiting);
+      return stops == 1 && sigismember(&waiting, SIGTERM) == 0 && sigismember(&waiting, SIGINT) == 0;
+    }));
+  }
+  EXPECT_EQ(stops, 1);
+}
+
 TEST(StopSignal, LeavesAnIgnoredHangupIgnored) {
   signal(SIGHUP, SIG_IGN);  // as nohup does
   std::atomic<int> stops{0};
@@ -81,6 +98,7 @@ TEST(StopSignal, LeavesAnIgnoredHangupIgnored) {
   });
   Send(SIGTERM);
   WaitUntil([&] { return stopping.load(); });
+  absl::SleepFor(absl::Milliseconds(600));  // sooner it would be the same request
   Send(SIGTERM);
   sleep(10);  // it reaches another thread
   _exit(1);

@@ -54,6 +54,20 @@ TEST_F(ActivityMeterTest, SwitchAttributesAtMostTheElapsedTime) {
   EXPECT_DOUBLE_EQ(meter_.Total().seconds, 1);
 }
 
+TEST_F(ActivityMeterTest, NoTotalFallsWhenASpanThatWasIncludedIsSplit) {
+  meter_.Switch(Activity::kWire);
+  Spend(5);
+  EXPECT_DOUBLE_EQ(meter_.Total().times[Activity::kWire], 5);
+  Spend(1);
+  meter_.Switch(Activity::kWire, Activity::kEnvironment, absl::Seconds(6));
+  const Work work = meter_.Total();
+  EXPECT_DOUBLE_EQ(work.times[Activity::kWire], 5);
+  EXPECT_DOUBLE_EQ(work.times[Activity::kEnvironment], 6);
+  EXPECT_DOUBLE_EQ(work.seconds, 6);
+  Spend(7);
+  EXPECT_DOUBLE_EQ(meter_.Total().times[Activity::kWire], 7) << "it has made up for what was returned too early";
+}
+
 TEST_F(ActivityMeterTest, RecentCoversOnlyTheWindow) {
   Spend(100);
   meter_.Switch(Activity::kInference);

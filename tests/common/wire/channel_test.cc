@@ -14,6 +14,7 @@
 #include <grpcpp/server_builder.h>
 #include <gtest/gtest.h>
 
+#include "common/wire/http_server.h"
 #include "common/wire/server.h"
 #include "craftfleet/v1/status.grpc.pb.h"
 #include "tests/fakes/status_matchers.h"
@@ -84,6 +85,14 @@ TEST(WaitUntilConnected, NamesAPeerThatCannotBeReached) {
   EXPECT_THAT(WaitUntilConnected("learner", Connect(address), absl::Seconds(10)),
               StatusIs(absl::StatusCode::kUnavailable,
                        HasSubstr("learner " + address + ": cannot connect: nothing listens there")));
+}
+
+TEST(WaitUntilConnected, RecognizesAServerOfPages) {
+  const auto server = HttpServer::Create({"127.0.0.1:0"},
+                                         [](const HttpServer::Request& /*request*/) { return HttpServer::Response(); });
+  ASSERT_THAT(server, IsOk());
+  EXPECT_THAT(WaitUntilConnected("learner", Connect((*server)->address()), absl::Seconds(10)),
+              StatusIs(absl::StatusCode::kUnavailable, HasSubstr("speaks HTTP, not gRPC")));
 }
 
 // A socket that accepts the connection but never sends anything, like a stopped process.

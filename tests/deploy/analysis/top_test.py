@@ -1,6 +1,7 @@
 """The page of craftfleet top and its keys. tests/deploy/watch_test.py shows a real fleet."""
 
 import contextlib
+import io
 import math
 import os
 import pty
@@ -13,7 +14,7 @@ from tests.fakes.python_case import BIN, SOURCE
 os.environ["CRAFTFLEET_BIN"] = str(BIN)
 sys.path.insert(0, str(SOURCE / "deploy/python/craftfleet"))
 
-from analysis.top import COLUMNS, View, _show, draw  # noqa: E402  pylint: disable=wrong-import-position
+from analysis.top import COLUMNS, Refusal, View, _print_pages, _show, draw  # noqa: E402  pylint: disable=wrong-import-position
 
 METRICS = {"env_steps": 172032, "env_steps_goal": 1e6, "iteration": 42, "episodes": 900, "reward": 4.25, "episode_length": 187,
            "crafter_score": 8.5, "achievements_unlocked": 15, "checkpoint_age": 70}
@@ -140,6 +141,18 @@ class Page(python_case.unittest.TestCase):
     status = fleet(*(worker("actor", f"worker-{i}", i) for i in range(10, 43)))
     for scroll, counts in ((0, "... 0 above, 20 below"), (5, "... 5 above, 15 below"), (1000, "... 20 above, 0 below")):
       self.assertIn(counts, page(status, View(scroll=scroll), 80, 24))
+    view = View(scroll=1000)
+    page(status, view, 80, 24)
+    view.press("k", 10)
+    self.assertIn("... 19 above, 1 below", page(status, view, 80, 24), "the way back begins at the end")
+
+  def test_pages_end_without_an_error_with_a_complete_run(self):
+    for state, ends in (("COMPLETE", contextlib.nullcontext()), ("TRAINING", self.assertRaisesRegex(Refusal, "it has stopped"))):
+      replies = iter([(1, fleet(run_state=state), ""), (1, fleet(run_state=state), "it has stopped")])
+      flags = types.SimpleNamespace(width=100, address="a:1")
+      with contextlib.redirect_stdout(io.StringIO()) as pages, ends:
+        _print_pages(types.SimpleNamespace(after=lambda _, replies=replies: next(replies)), View(), flags)
+      self.assertEqual(pages.getvalue().count("craftfleet top"), 1)
 
 
 class Terminal(python_case.unittest.TestCase):

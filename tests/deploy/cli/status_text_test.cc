@@ -41,6 +41,17 @@ TEST(StatusText, HasALineForEachField) {
   EXPECT_THAT(text, Not(HasSubstr("bottleneck")));
 }
 
+TEST(StatusText, WholeNumbersAreExact) {
+  v1::StatusReply reply = Status();
+  const auto set = [&](double value) { reply.mutable_metrics(0)->set_value(value); };
+  set(123456789012345);
+  EXPECT_THAT(StatusText(reply), HasSubstr(" 123456789012345 steps\n"));
+  set(-0.25);
+  EXPECT_THAT(StatusText(reply), HasSubstr(" -0.25 steps\n"));
+  set(1e300);
+  EXPECT_THAT(StatusText(reply), HasSubstr(" 1e+300 steps\n"));
+}
+
 TEST(StatusText, SaysHowManyWorkersItDoesNotList) {
   v1::StatusReply reply = Status();
   v1::WorkerCount* const count = reply.mutable_fleet()->add_workers();

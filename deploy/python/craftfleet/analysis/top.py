@@ -108,6 +108,11 @@ def _row(role: str, name: str, state: str, summary: dict, lag: int = -1, seen: f
           "mem": number("memory_bytes"), "err": number("errors"), "seen": seen, "summary": summary}
 
 
+def _is_complete(status: dict) -> bool:
+  """The learner of a complete run ends: then it is no problem that it no longer answers."""
+  return status.get("fleet", {}).get("run_state") == "COMPLETE"
+
+
 def _state(peer: dict) -> str:
   health = {"LOST": "LOST", "NOT_ANSWERING": "HANGS", "SLOW": "SLOW", "LEFT": "left"}.get(peer["health"])
   return health or {"DRAINING": "draining", "DRAINED": "drained"}.get(peer["drain"], "ok")
@@ -202,6 +207,7 @@ def draw(status: dict, view: View, width: int, height: int, address: str, proble
   """The page: lines of printable ASCII, at most as wide as the page, each with its style: "", title, header, good or bad.
 
   `status` is what craftfleet status --json prints of the learner, `problem` why it is outdated; `height` 0: no limit.
+  Takes `view.scroll` back to the last page.
   """
   width = max(40, width)
   cut = lambda lines: [(re.sub(r"[^ -~]", "?", text)[:width], style) for text, style in lines][:height or None]
@@ -209,8 +215,7 @@ def draw(status: dict, view: View, width: int, height: int, address: str, proble
   lines = [(f"craftfleet top{paused}  learner {address}  run {status['run_id']}  up {duration(float(status['uptime_s']))}", "title")]
   if view.help:
     return cut(lines + [(line, "") for line in HELP.split("\n")])
-  # The learner of a complete run ends: then it is no problem that it no longer answers.
-  ended = bool(problem) and status.get("fleet", {}).get("run_state") == "COMPLETE"
+  ended = bool(problem) and _is_complete(status)
   lost = bool(problem) and not ended
   lines += [(problem, "bad")] if lost else []
   lines += _head(status, address, width) + [("", "")]
@@ -223,7 +228,7 @@ def draw(status: dict, view: View, width: int, height: int, address: str, proble
   learner = _row("learner", status["name"], "ended" if ended else "LOST" if lost else "ok", status.get("summary", {}))
   lines += [(table.head(), "header"), (table.line(learner), "bad" if lost else "")]
   fit = max(1, height - 2 - len(lines)) if height else len(rows)
-  first = min(view.scroll, max(0, len(rows) - fit))
+  first = view.scroll = min(view.scroll, max(0, len(rows) - fit))
   lines += [(table.line(row), "bad" if row["state"] in ("LOST", "HANGS", "SLOW") else "") for row in rows[first:first + fit]]
   if height:
     below = max(0, len(rows) - first - fit)
@@ -284,6 +289,8 @@ def _print_pages(watcher: Watcher, view: View, flags) -> None:
   while True:
     seen, status, problem = watcher.after(number)
     if seen == number:
+      if _is_complete(status):
+        return
       raise Refusal(problem)
     number = seen
     _print_page(status, view, flags)
