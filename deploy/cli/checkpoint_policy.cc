@@ -14,6 +14,7 @@
 #include "common/telemetry/log.h"
 #include "learner/run/checkpoint.h"
 #include "learner/run/checkpoint_store.h"
+#include "learner/training/steps_to_train.h"
 
 namespace craftfleet {
 namespace {
@@ -36,7 +37,7 @@ absl::StatusOr<Checkpoint> LoadResult(const std::string& folder) {
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::string text, ReadFile(config_path));
   CRAFTFLEET_ASSIGN_OR_RETURN(v1::RunConfig given, ParseRunConfig(text, config_path));
   CRAFTFLEET_ASSIGN_OR_RETURN(*checkpoint.state.mutable_config(), ResolveRunConfig(std::move(given)));
-  checkpoint.state.set_env_steps(checkpoint.state.config().steps());
+  checkpoint.state.set_env_steps(StepsToTrain(checkpoint.state.config()));
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::string run, ReadFile(JoinPath(folder, "run.json")));
   const auto json = nlohmann::json::parse(run, nullptr, /*allow_exceptions=*/false);
   const auto id = json.is_object() ? json.find("run_id") : json.end();

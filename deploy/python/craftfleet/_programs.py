@@ -8,11 +8,12 @@ import os
 import pathlib
 import queue
 import re
+import shutil
 import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import IO, Any
 
 from craftfleet.analysis import programs
@@ -27,21 +28,27 @@ def flags(**values: Any) -> list[str]:
   return [f"--{name}={str(value).lower() if isinstance(value, bool) else value}" for name, value in values.items() if value is not None]
 
 
-def start(name: str, arguments: list[str], **options: Any) -> subprocess.Popen:
-  """Starts `craftfleet NAME` in a session of its own, so that Ctrl-C in a terminal reaches this process alone."""
+def start(name: str, arguments: list[str], before: Sequence[str] = (), **options: Any) -> subprocess.Popen:
+  """Starts `craftfleet NAME` behind the words `before`, in its own session: Ctrl-C in a terminal reaches this process alone."""
   command, environment = programs.find(name)
-  return subprocess.Popen([*command, *arguments], env=environment, start_new_session=True, **options)
+  return subprocess.Popen([*before, *command, *arguments], env=environment, start_new_session=True, **options)
+
+
+def _until_python_ends() -> list[str]:
+  """The words before a program that get it SIGTERM when the thread that starts it is gone, however Python ended."""
+  setpriv = shutil.which("setpriv")
+  return [setpriv, "--pdeathsig", "TERM"] if setpriv else []
 
 
 def run(name: str, progress: bool, /, **values: Any) -> None:
   """Runs `craftfleet NAME` with flags() of the values to its end; shows its warnings and errors, and its progress if wanted.
 
   ValueError: the program refused what it was given; RuntimeError: it failed later. Both carry its message. KeyboardInterrupt stops
-  the program as Ctrl-C does, a second one at once, and is raised when it has ended.
+  the program as Ctrl-C does, a second one at once, and is raised when it has ended. When Python ends otherwise, SIGTERM stops it.
   """
   process = start(
-      name, flags(**{"log_level": "warning", **values}), stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-      text=True, errors="replace")
+      name, flags(**{"log_level": "warning", **values}), _until_python_ends(), stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+      stderr=subprocess.PIPE, text=True, errors="replace")
   began = False  # its work: it has printed a result, or progress
   errors: list[str] = []
   with _stopping(process), contextlib.closing(_Display(progress)) as display:
@@ -115,12 +122,12 @@ class _Display:
 
   def show(self, line: str, is_error: bool) -> None:
     """Shows a line of progress or of the program's log."""
-    if not self._enabled:
-      return
     found = PROGRESS.match(line)
     if found is None:
       if LOG.match(line):
         print(line, file=sys.stderr)
+      return
+    if not self._enabled:
       return
     if self._make_bar is None:
       print(line, file=sys.stderr if is_error else sys.stdout, flush=True)

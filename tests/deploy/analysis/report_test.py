@@ -2,6 +2,7 @@
 
 import csv
 import dataclasses
+import gzip
 import io
 import math
 import os
@@ -178,6 +179,15 @@ class Report(package.Case):
     self.assertNotIn("</summary>\n\n</details>", text, "an empty fold")
     self.assertNotIn("matrix-evaluation.png", files, "the paper has no figure of PPO-CNN to show beside")
 
+  # Means of several seeds are nearer to the paper's than single runs.
+  def test_the_rows_to_expect_follow_from_the_seeds_of_each(self):
+    for seed, expected in ((1, "0.9 to 1.0"), (2, "1.0 to 1.0")):
+      run = self.folder / f"a/seed{seed}"
+      write_run(run, seed, {"agent": "lstm_cnn", "env": {"name": "crafter:numbers=easy-x2"}, "eval": {"env": "crafter"}})
+      (run / "eval_sampled.jsonl").write_text(same_episodes(10, 11))
+      self.assertEqual(line(self.make()["report.md"], "| LSTM-CNN | evaluation score, sampled | 1 | "),
+                       f"| LSTM-CNN | evaluation score, sampled | 1 | {seed} | -2.5 |  | 0 | {expected} |")
+
   def test_evaluation_has_a_chart_where_the_paper_has_figures(self):
     run = self.folder / "a/seed1"
     write_run(run, 1, {"agent": "lstm_cnn", "env": {"name": "crafter:numbers=easy-x2"}, "eval": {"env": "crafter"}})
@@ -286,6 +296,13 @@ class Milestones(package.Case):
     self.assertGreater(group.scores_at("eval", 4000).mean, 20)
     self.assertEqual(group.scores_at("eval_argmax", 2000).n, 0)
 
+  def test_an_iteration_has_one_evaluation_however_many_are_due(self):
+    write_run(self.folder / "a", 1, {"eval": {"every_steps": 250, "episodes": 5}})
+    (self.folder / "a/eval_sampled.jsonl").write_text(same_episodes(10, 11) + same_episodes(10, 22))
+    (run,), _ = runs.read_runs([str(self.folder)])
+    self.assertEqual([len(run.evaluation_at("eval_sampled", steps)) for steps in (0, 249, 250, 1000, 1250, 2000, 4000)],
+                     [0, 0, 5, 5, 10, 10, 20])
+
   def test_a_milestone_without_evaluation_is_reached_all_the_same(self):
     write_run(self.folder / "a", 1)
     text = EXPERIMENTS.replace('title = "The table"\n', 'title = "The table"\nmilestones = [2000, 5000]\n')
@@ -367,6 +384,7 @@ class WebPage(package.Case):
   def test_needs_no_other_file_and_no_script(self):
     write_run(self.folder / "run", 1)
     self.assertNotRegex(self.page(), r"(src|href)=.(https?:)?//|<script")
+    self.assertIn("<h1>1 run, 1 complete</h1>", self.page())
 
   def test_names_of_folders_stay_text(self):
     write_run(self.folder / "a<script>alert(1)<" / "script>&/run", 1)
@@ -428,14 +446,16 @@ class Committed(unittest.TestCase):
            "no_inventory_lstm_cnn_1m/seed4", "reproduction_original_1x4096/seed6", "reproduction_original_1x4096/seed7",
            "reproduction_original_1x4096/seed8", "reproduction_original_1x4096/seed9", "reproduction_original_1x4096/seed10",
            "ood_app_authors_25-25-25-25/seed1", "ood_app_authors_25-25-25-25/seed2", "ood_app_authors_88-4-4-4/seed1",
-           "ood_app_authors_88-4-4-4/seed2", "ood_app_authors_100-0-0-0/seed1", "ood_app_authors_100-0-0-0/seed2")
+           "ood_app_authors_88-4-4-4/seed2", "ood_app_authors_100-0-0-0/seed1", "ood_app_authors_100-0-0-0/seed2",
+           "no_inventory_lstm_cnn_1m/seed5", "ood_app_authors_25-25-25-25/seed3", "ood_app_authors_88-4-4-4/seed3",
+           "ood_app_authors_100-0-0-0/seed3")
 
   @classmethod
   def setUpClass(cls):
     cls.found, cls.unreadable = runs.read_runs([str(package.RESULTS)])
 
   def test_all_results_belong_to_a_cell(self):
-    self.assertEqual((len(self.found), self.unreadable), (103, []))
+    self.assertEqual((len(self.found), self.unreadable), (107, []))
     matched = results.match(experiments.load(package.PAPER), results.group_runs(self.found))
     self.assertEqual([result.name for result in matched if result.is_own], [])
 
@@ -453,7 +473,7 @@ class Committed(unittest.TestCase):
     for row in csv.DictReader(io.StringIO(tables.curves_csv(matched))):
       for value in ("score", "reward"):
         made[f"curve {value}", row["experiment"], row["cell"], "", row["steps"]] = (row["n"], row[f"{value}_mean"], row[f"{value}_std"])
-    with open(python_case.SOURCE / "tests/data/report/figures.csv", encoding="utf-8") as file:
+    with gzip.open(python_case.SOURCE / "tests/data/report/figures.csv.gz", "rt", encoding="utf-8") as file:
       wanted = list(csv.DictReader(file))
     self.assertGreater(len(wanted), 900)
     for row in wanted:

@@ -116,9 +116,12 @@ class Runs(package.Case):
     found, unreadable = runs.read_runs([f"{self.folder}{name}" for name in ("", "/a/", "/b")])
     self.assertEqual([run.folder for run in found], [f"{self.folder}/{name}" for name in ("a", "b/c/seed1", "b/c/seed2")])
     self.assertEqual(unreadable, [])
-    self.assertEqual(self.refusal(runs.read_runs, ["/nowhere/runs"]), "/nowhere/runs: no such folder")
-    self.assertIn("b/config.txt: not a folder, and no result file",
-                  self.refusal(runs.read_runs, [f"{self.folder}/b/config.txt"]))
+    for one in (self.folder, str(self.folder)):
+      self.assertEqual([run.folder for run in runs.read_runs(one)[0]], [run.folder for run in found])
+    for missing, message in (("/nowhere/runs", "^/nowhere/runs: no such folder$"),
+                             (self.folder / "b/config.txt", "b/config.txt: not a folder, and no result file")):
+      with self.assertRaisesRegex(FileNotFoundError, message):
+        runs.read_runs([missing])
 
   def test_a_run_is_found_once_under_all_names_of_its_folder(self):
     write_run(self.folder / "runs/a", 1)
@@ -223,6 +226,28 @@ class Results(package.Case):
     self.assertIn('run.json: no "texture_digest"', errors.getvalue())
     self.assertEqual([path.name for path in self.folder.iterdir()], ["run"])
 
+  def test_an_unfinished_run_is_not_collected(self):
+    python_case.trained_run(self.folder / "run", python_case.SMALL_RUN)
+    (self.folder / "run/checkpoints/iter-00000003").rename(self.folder / "last")
+    with contextlib.redirect_stderr(io.StringIO()) as errors:
+      self.assertEqual(collect.main(["--weights", f"{self.folder}/run", f"{self.folder}/kept"]), 1)
+    self.assertEqual(errors.getvalue(), f"collect.py: {self.folder}/run: unfinished after 128 of 192 steps, want all steps "
+                     "and the final evaluation\n")
+    self.assertEqual(sorted(path.name for path in self.folder.iterdir()), ["last", "run"])
+
+  def test_a_result_has_the_name_of_its_run(self):
+    write_run(self.folder / "run", 1)
+    (self.folder / "kept").mkdir()
+    runs.save_result(str(self.folder / "run"), str(self.folder / "kept/seed1.npz"))
+    for _ in range(2):
+      (name,) = (run.folder for run in runs.read_runs(self.folder / "kept")[0])
+      self.assertEqual(name, f"{self.folder}/kept/seed1")
+      self.assertEqual([run.folder for run in runs.read_runs(name)[0]], [name])
+      self.assertEqual(len(analysis.episodes(f"{name}/")), 40)
+      self.assertEqual(len(runs.read_curve(name)), 40)
+      (self.folder / "kept/seed1").mkdir(exist_ok=True)  # of its weights
+      (self.folder / "kept/seed1/config.txt").write_text("")
+
   def test_notebooks_compare_runs_and_take_one_without_episodes(self):
     write_run(self.folder / "a", 1)
     write_run(self.folder / "b", 1)
@@ -253,6 +278,7 @@ class Results(package.Case):
     write_run(self.folder / "b", 2, episodes=30)
     run = analysis.load(self.folder)["run"][0]
     self.assertEqual(list(analysis.load([run, self.folder / "b"])["seed"]), [1, 2])
+    self.assertEqual(list(analysis.load(run, self.folder, run)["seed"]), [1, 2], "each once")
     self.assertEqual([len(analysis.episodes(one)) for one in (run, self.folder / "b")], [40, 30])
     for arguments, words in (((run, "foo"), "log 'foo', want one of stats, eval_argmax, eval_sampled"),
                              ((self.folder,), f"{self.folder}: 2 runs, want one")):
@@ -560,12 +586,26 @@ axes = [
         ('experiments = [{ name = "t", combine = "pairs", axes = [{ axis = "clip" }] }]', 'experiment "t": no cell: want an'),
         ('experiments = [{ name = "t", combine = "each" }]', 'experiment "t": no cell: want an axis'),
         ('experiments = [{ name = "runs" }]', 'experiment "runs": want another name: reports have a runs.csv of their own'),
+        ('experiments = [{ name = "t", base = { seed = 3 } }]', "seed is 3, want none: a sweep gives each run its own"),
+        ("experiments = " + "[" * 5000, "tables or lists are nested too deeply"),
+        ('experiments = [{ name = "t", base = { ' + "a." * 5000 + "b = 1 } }]", "tables or lists are nested too deeply"),
         ('experiments = [{ name = "t" ', "at end of document"), ('experiments {\n name: "t" }', "version 0.1 are in another format")):
       refused = self.refusal(self.parse, text)
       self.assertTrue(refused.startswith("file.toml: "), refused)
       self.assertIn(message, refused)
     twice = 'axes = [{ name = "x", choices = [{ name = "c" }, { name = "c" }] }]'
     self.assertIn('axis "x": choice "c" occurs twice', self.refusal(experiments.parse, twice, "f"))
+
+  # They share their runs, and only the first would be run.
+  def test_cells_of_one_configuration_differ_in_nothing_else(self):
+    text = ('experiments = [{ name = "t", base = { agent = "ppo_cnn" } }, '
+            '{ name = "u", base = { env.name = "crafter:numbers=default"%s }, axes = [{ axis = "agent", only = ["a"] }] }]')
+    self.assertEqual(self.parse(text % "")[1].cells[0].folder, "t/t")
+    for field, value in (("eval", "eval.every_steps = 1000"), ("checkpoint", "checkpoint.keep = 7"), ("cpu", 'cpu = "AVX2"'),
+                         ("eval, tile", "eval.seed = 5, tile = 4")):
+      self.assertEqual(self.refusal(self.parse, text % f", {value}"),
+                       f'file.toml: experiment "u": cell "a" differs from t/t in {field} alone, and would share its runs: want '
+                       "the same in both")
 
   # Cells of one name would share a folder, and only the first would be run.
   def test_choices_of_axes_that_are_varied_apart_have_different_names(self):
@@ -625,6 +665,8 @@ class Statistics(unittest.TestCase):
   def test_rows_to_expect_within_two_deviations(self):
     low, high = statistics.expected_within_two_deviations(10)
     self.assertEqual((round(30 * low, 1), round(30 * high, 1)), (27.3, 28.6))
+    low, high = statistics.expected_within_two_deviations(10, 2)
+    self.assertEqual((round(30 * low, 1), round(30 * high, 1)), (29.1, 29.9))
 
   def test_intervals_contain_the_mean_and_narrow_with_the_spread(self):
     low, high = statistics.interval_over_seeds([10, 11, 12, 13, 14])

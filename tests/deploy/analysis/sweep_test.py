@@ -6,6 +6,7 @@ import fcntl
 import io
 import os
 import pathlib
+import signal
 import subprocess
 import sys
 import tempfile
@@ -31,8 +32,9 @@ FILE = python_case.SMALL_EXPERIMENT.replace("steps = 192", "steps = 128").replac
 name = "gamma"
 choices = [{ name = "a" }, { name = "b", config = { ppo.gamma = %s } }]
 """
+TEXTURES = "9e107d9d372bb682"  # that every job is to have
 # Stands in for craftfleet train: appends its arguments to LOGDIR/starts, then makes the files that a sweep reads, with the checkpoints
-# of TRAINED. FAKE_TRAIN: "half": those of half of the steps; "wait": the same, then waits for SIGTERM; "fail2": seed 2 fails.
+# of TRAINED. FAKE_TRAIN: "half": those of half of the steps; "wait": the same, then waits for SIGHUP; "fail2": seed 2 fails.
 FAKE_TRAIN = """#!/usr/bin/env python3
 import os, pathlib, shutil, signal, sys
 mode = os.environ.get("FAKE_TRAIN", "")
@@ -43,7 +45,7 @@ with open(run / "starts", "a") as file:
 if mode == "fail2" and flags.get("seed") == "2":
   print("the last line says why\\n")
   sys.exit(3)
-signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+signal.signal(signal.SIGHUP, lambda *_: sys.exit(0))
 if "resume" not in flags:
   (run / "config.txt").write_text(pathlib.Path(flags["config"]).read_text() + f"seed: {flags['seed']}\\n")
 steps = int(flags["steps"]) // (2 if mode in ("half", "wait") else 1)
@@ -93,7 +95,7 @@ class Sweep(python_case.FolderCase):
 
   def jobs(self, seeds, gamma=0.5):
     cells = sweep_plan.select_cells(experiments.parse(FILE % gamma, "file.toml"), [], [])
-    return sweep_plan.plan(cells, str(self.folder / "runs"), seeds)
+    return sweep_plan.plan(cells, str(self.folder / "runs"), seeds, TEXTURES)
 
   def make(self, seeds=1, gamma=0.5, program=None):
     return sweep_jobs.Sweep(self.jobs(seeds, gamma), [str(program or self.program)], dict(os.environ), 2, self.out,
@@ -195,13 +197,27 @@ class Sweep(python_case.FolderCase):
   def test_a_finished_run_of_another_configuration_is_not_done(self):
     self.make().run()
     self.fails(self.make(gamma=0.6))
-    self.assertIn("2 runs, of which 1 are done already", self.out.text)
+    self.assertIn("2 runs, of which 1 is done already", self.out.text)
     self.assertIn("FAILED: t/b/seed1: ", self.out.text)
     self.assertIn("t/b/seed1/config.txt is not this cell's configuration", self.out.text)
     with contextlib.redirect_stderr(io.StringIO()) as warnings:
       self.assertEqual([state.finished for state in sweep_plan.states_or_none(self.jobs(1, 0.6))], [True, False])
     self.assertIn("warning: t/b/seed1: ", warnings.getvalue())
     self.assertEqual(len(self.starts("b/seed1")), 1)
+
+  def test_a_finished_run_with_other_textures_is_not_done(self):
+    self.make().run()
+    for cell, digest in (("a", TEXTURES), ("b", "8140aa54698876d7")):
+      (self.folder / f"runs/t/{cell}/seed1/run.json").write_text(f'{{"texture_digest": "{digest}"}}')
+    self.assertEqual(self.fails(self.make()), "1 of 2 runs failed")
+    self.assertIn("2 runs, of which 1 is done already", self.out.text)
+    self.assertIn(f"t/b/seed1/run.json: the run has textures 8140aa54698876d7, want {TEXTURES}: use another", self.out.text)
+    self.assertEqual(len(self.starts("b/seed1")), 1)
+
+  def test_a_log_that_cannot_be_opened_is_named(self):
+    (self.folder / "runs/t/a/seed1/log.txt").mkdir(parents=True)
+    self.assertEqual(self.fails(self.make()), "1 of 2 runs failed")
+    self.assertIn(f"FAILED: t/a/seed1: cannot open {self.folder}/runs/t/a/seed1/log.txt: Is a directory\n", self.out.text)
 
   def test_a_missing_program_fails_every_run(self):
     self.fails(self.make(program="/nowhere/craftfleet"))
@@ -233,13 +249,17 @@ experiments = [{ name = "t", axes = [{ axis = "x" }, { axis = "y" }] }, { name =
       self.assertEqual(str(caught.exception), message)
 
   def test_a_list_looks_at_all_runs_at_once(self):
-    with unittest.mock.patch.object(programs, "ask", wraps=programs.ask) as ask, contextlib.redirect_stdout(io.StringIO()):
-      sweep_command._list(sweep_plan.select_cells(self.file, [], []),  # pylint: disable=protected-access
-                          types.SimpleNamespace(logdir=str(self.folder), seeds=2, steps=0))
-    self.assertEqual(ask.call_count, 1)
+    with (unittest.mock.patch.object(programs, "ask", wraps=programs.ask) as ask,
+          contextlib.redirect_stdout(io.StringIO()) as shown):
+      for steps in (0, 5000):
+        sweep_command._list(sweep_plan.select_cells(self.file, ["u"], ["a"]),  # pylint: disable=protected-access
+                            types.SimpleNamespace(logdir=str(self.folder), seeds=2, steps=steps), TEXTURES)
+        self.assertEqual(ask.call_count, 1)
+        ask.reset_mock()
+    self.assertRegex(shown.getvalue(), r"^u/a +1000000 steps   0 of 2 done .*\n1 cells\nu/a +5000 steps ")
 
   def test_every_cell_is_run_once_with_each_seed(self):
-    jobs = sweep_plan.plan(sweep_plan.select_cells(self.file, [], []), "/runs", 2, 5000, ["--threads=3"])
+    jobs = sweep_plan.plan(sweep_plan.select_cells(self.file, [], []), "/runs", 2, TEXTURES, 5000, ["--threads=3"])
     self.assertEqual([job.name for job in jobs], [f"t/{cell}/seed{seed}" for seed in (1, 2) for cell in ("a/c", "a/d", "ab/c", "ab/d")])
     job = jobs[6]
     self.assertEqual((job.folder, job.config_path, job.steps), ("/runs/t/ab/c/seed2", "/runs/t/ab/c/cell.txt", 5000))
@@ -247,15 +267,16 @@ experiments = [{ name = "t", axes = [{ axis = "x" }, { axis = "y" }] }, { name =
     self.assertEqual(job.start, ["--config=/runs/t/ab/c/cell.txt", "--seed=2", *shared])
     self.assertEqual(job.resume, ["--resume", *shared])
     self.assertEqual(job.config_text, "# t, ab/c; values that are not given have their defaults.\nppo {\n  gamma: 0.5\n}\n")
-    self.assertEqual(sweep_plan.plan(sweep_plan.select_cells(self.file, [], []), "/runs", 1)[0].steps, 1000000)
+    self.assertEqual(job.texture_digest, TEXTURES)
+    self.assertEqual(sweep_plan.plan(sweep_plan.select_cells(self.file, [], []), "/runs", 1, TEXTURES)[0].steps, 1000000)
 
   def test_a_run_that_is_named_twice_is_run_once(self):
-    jobs = sweep_plan.plan(sweep_plan.select_cells(self.file, [], []), "/runs", 1)
+    jobs = sweep_plan.plan(sweep_plan.select_cells(self.file, [], []), "/runs", 1, TEXTURES)
     named = sweep_command._named_runs(jobs, ["t/ab/c/seed1", "t/a/c/seed1", "t/ab/c/seed1"])  # pylint: disable=protected-access
     self.assertEqual([job.name for job in named], ["t/ab/c/seed1", "t/a/c/seed1"])
 
   def test_the_folder_has_the_cells_file(self):
-    job = sweep_plan.plan(sweep_plan.select_cells(self.file, [], []), str(self.folder), 1)[0]
+    job = sweep_plan.plan(sweep_plan.select_cells(self.file, [], []), str(self.folder), 1, TEXTURES)[0]
     for text in (None, "other"):
       if text:
         pathlib.Path(job.config_path).write_text(text)
@@ -268,6 +289,7 @@ experiments = [{ name = "t", axes = [{ axis = "x" }, { axis = "y" }] }, { name =
     cells = sweep_plan.select_cells(file, [], [])
     self.assertEqual([cell.name for cell in sweep_plan.cells_with_textures(cells, "8140aa54698876d7")], ["a", "b"])
     self.assertEqual([cell.name for cell in sweep_plan.cells_with_textures(cells, "0")], ["a"])
+    self.assertEqual([job.texture_digest for job in sweep_plan.plan(cells, "/runs", 1, "0")], ["0", "8140aa54698876d7"])
     with self.assertRaises(Refusal) as caught:
       sweep_plan.cells_with_textures(cells[1:], "0")
     self.assertIn("cell t/b wants textures 8140aa54698876d7, not 0: give their folder with --textures", str(caught.exception))
@@ -336,8 +358,9 @@ class Program(python_case.FolderCase):
   def sweep(self, *more, code=0):
     return self.run_program("craftfleet sweep", *self.arguments(*more), code=code)
 
-  def start(self, *more):
-    process = subprocess.Popen([*built("craftfleet sweep"), *self.arguments(*more)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+  def start(self, *more, before=()):
+    process = subprocess.Popen([*before, *built("craftfleet sweep"), *self.arguments(*more)], stdout=subprocess.PIPE,
+                               stderr=subprocess.PIPE, text=True)
     self.addCleanup(process.communicate)
     self.addCleanup(process.kill)
     wait_until(lambda: list(self.folder.glob("runs/**/log.txt")), "the first run")
@@ -376,6 +399,18 @@ class Program(python_case.FolderCase):
     self.assertIn("stopped with 0 of 4 runs done; the same command resumes the sweep", sweep.stderr.read())
     self.assertIn("0 of 2 done", self.sweep("--list", "--steps=100000").stdout)
     self.sweep()
+
+  # As from Slurm and systemd; under nohup a run would inherit that SIGHUP, which stops it, is ignored.
+  def test_sigterm_to_the_sweep_and_its_run_stops_the_run_with_a_checkpoint(self):
+    self.file.write_text((FILE % 0.5).replace("every_iterations = 1", "every_iterations = 10000"))
+    sweep = self.start("--steps=1000000000", "--cell=a", "--jobs=1", before=["nohup"])
+    run = self.folder / "runs/t/a/seed1"
+    wait_until(lambda: (run / "stats.jsonl").exists() and (run / "stats.jsonl").stat().st_size, "an iteration")
+    (train,) = python_case.processes_with(f"--logdir={run}")
+    for process in (train, sweep.pid):
+      os.kill(process, signal.SIGTERM)
+    self.assertEqual(sweep.wait(60), 75)
+    self.assertGreater(max(path.name for path in (run / "checkpoints").iterdir()), "iter-00000000")
 
   def test_a_dry_run_only_prints_the_commands(self):
     textures = self.folder / "two words"

@@ -20,6 +20,7 @@ from tests.fakes.python_case import BIN, ENDLESS, SMALL_RUN, built, wait_until
 package.need("craftfleet", "numpy", "pandas", "tqdm", "tensorboard")
 import craftfleet  # pylint: disable=wrong-import-position
 from craftfleet import analysis  # pylint: disable=wrong-import-position
+from craftfleet.analysis import collect  # pylint: disable=wrong-import-position
 import numpy as np  # pylint: disable=wrong-import-position
 
 
@@ -130,6 +131,20 @@ class Training(Case):
     self.assertEqual(run.curves.index[-1], last + 64)
 
 
+  def test_training_stops_when_python_is_terminated(self):
+    self.config.write_text(ENDLESS)
+    script = f"import craftfleet\ncraftfleet.train(config={str(self.config)!r}, logdir={str(self.folder / 'run')!r})"
+    python = subprocess.Popen([sys.executable, "-c", script], stderr=subprocess.DEVNULL, cwd=self.folder,
+                              env={**os.environ, "PYTHONPATH": str(package.SITE)})
+    self.addCleanup(python.kill)
+    wait_until((self.folder / "run/checkpoints/iter-00000002").exists, "two iterations")
+    (pid,) = python_case.processes_with(f"--logdir={self.folder}/run")
+    self.addCleanup(lambda: python_case.command_line(pid) and os.kill(pid, signal.SIGKILL))
+    python.terminate()
+    self.assertEqual(python.wait(60), -signal.SIGTERM)
+    wait_until(lambda: not python_case.command_line(pid), "the end of the training")
+
+
 class Progress(Case):
 
   def shown(self, name="run", **flags):
@@ -152,8 +167,9 @@ class Progress(Case):
 
   def test_the_log_of_the_program_is_shown_as_far_as_asked_for(self):
     for level, shown in (("info", self.assertIn), ("warning", self.assertNotIn)):
-      _, errors = self.shown(f"run-{level}", steps=100, log_level=level)
-      shown("training for 128 steps instead of 100", errors)
+      for progress in (True, False):
+        _, errors = self.shown(f"run-{level}-{progress}", steps=100, log_level=level, progress=progress)
+        shown("training for 128 steps instead of 100", errors)
 
 
 class Evaluation(Case):
@@ -197,6 +213,12 @@ class Policy(Case):
       actions = [policy(image, reward, starts=step == 0)
                  for step, (image, reward) in enumerate(zip(episode["image"][:-1], episode["reward"]))]
       self.assertEqual(actions, list(episode["action"][1:]), f"episode {number + 1}")
+
+  def test_collected_weights_have_the_steps_of_whole_iterations(self):
+    run = self.finished_run("--steps=100")
+    self.assertEqual(collect.main(["--weights", str(run.folder), str(self.folder / "kept")]), 0)
+    with craftfleet.Policy(self.folder / "kept") as policy:
+      self.assertEqual(policy.env_steps, 128)
 
   def test_a_policy_plays_the_episodes_of_an_evaluation_again(self):
     run = self.finished_run()

@@ -156,6 +156,8 @@ def _cells(experiment: Experiment, base: dict) -> list[Cell]:
       config = base
       for choice in choices:
         config = merged(config, choice.config)
+      if "seed" in config:
+        raise Refusal(f"seed is {config['seed']!r}, want none: a sweep gives each run its own")
       digests = [choice.texture_digest for choice in choices if choice.texture_digest]
       name = "/".join(choice.name for choice in choices) or experiment.name
       cells.append(Cell(experiment.name, name, axes, numbers, config_text(config), digests[-1] if digests else ""))
@@ -186,17 +188,36 @@ def _experiment(axes: dict[str, Axis], fields: dict) -> Experiment:
   return experiment
 
 
+def _beside_identity(config: dict) -> dict:
+  """A complete configuration without what cells of one identity may write in several ways: environments and the network."""
+  rest = {field: value for field, value in config.items() if field != "network"}
+  rest["env"] = {field: value for field, value in config["env"].items() if field != "name"}
+  rest["eval"] = {field: value for field, value in config["eval"].items() if field != "env"}
+  return rest
+
+
+def _check_same(cell: Cell, first: Cell) -> None:
+  """Refusal: `first` is run in place of `cell`, of the same identity, and differs from it all the same."""
+  ours, theirs = _beside_identity(cell.config), _beside_identity(first.config)
+  different = [field for field in ours | theirs if ours.get(field) != theirs.get(field)]
+  if different:
+    raise Refusal(f'experiment "{cell.experiment}": cell "{cell.name}" differs from {first.experiment}/{first.name} in '
+                  f"{', '.join(different)} alone, and would share its runs: want the same in both")
+
+
 def _complete(experiments: list[Experiment]) -> None:
   """Fills in the complete configurations of the cells, and their folders."""
   cells = [cell for experiment in experiments for cell in experiment.cells]
   answers = programs.ask([{"config": cell.config_text, "path": "configuration", "check_envs": True,
                            "textures": cell.texture_digest} for cell in cells])
-  folders: dict[str, str] = {}
+  firsts: dict[str, Cell] = {}  # by identity
   for cell, answer in zip(cells, answers):
     if "error" in answer:
       raise Refusal(f'experiment "{cell.experiment}": cell "{cell.name}": {answer["error"]}')
     cell.config, cell.identity = answer["config"], answer["identity"]
-    cell.folder = folders.setdefault(cell.identity, f"{cell.experiment}/{cell.name}")
+    first = firsts.setdefault(cell.identity, cell)
+    _check_same(cell, first)
+    cell.folder = f"{first.experiment}/{first.name}"
 
 
 def parse(text: str, filename: str) -> list[Experiment]:
@@ -228,6 +249,8 @@ def parse(text: str, filename: str) -> list[Experiment]:
     _complete(experiments)
   except Refusal as error:
     raise Refusal(f"{filename}: {error}") from None
+  except RecursionError:
+    raise Refusal(f"{filename}: tables or lists are nested too deeply") from None
   return experiments
 
 

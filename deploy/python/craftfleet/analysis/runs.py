@@ -86,8 +86,10 @@ class Run:
   def evaluation_at(self, log: str, steps: int) -> Episodes:
     """The episodes of eval_sampled or eval_argmax up to `steps` of training."""
     settings = self.config["eval"]
-    every = int(settings.get("every_steps", 0))
-    return self.logs[log].first(steps // every * int(settings.get("episodes", 0)) if every else 0)
+    every, rollout = int(settings.get("every_steps", 0)), int(self.config["ppo"]["rollout_steps"])
+    due = steps // every if every else 0
+    begun = min(due, -(-due * every // rollout))  # at most one in each iteration
+    return self.logs[log].first(begun * int(settings.get("episodes", 0)))
 
   def steps_text(self) -> str:
     return f"{self.steps:,} of {self.steps_to_train:,}"
@@ -156,13 +158,18 @@ def _smallest(values: np.ndarray) -> np.ndarray:
 
 
 def save_result(folder: str, path: str) -> None:
-  """Writes the result file `path` of the run in `folder`.   Refusal: the run cannot be read; OSError: `path` cannot be written."""
+  """Writes the result file `path` of the run in `folder`.
+
+  Refusal: the run cannot be read, or is not finished; OSError: `path` cannot be written.
+  """
   files = _read_folder(folder, is_final=True)
   problems: list[str] = []
   understood = _understand([files], problems)
   if problems:
     raise Refusal(problems[0])
   run = understood[0]
+  if not run.complete:
+    raise Refusal(f"{folder}: unfinished after {run.steps_text()} steps, want all steps and the final evaluation")
   arrays = {"craftfleet_run": np.array(_VERSION), "config": np.frombuffer(files.config.encode(), np.uint8),
             "steps": np.array(run.steps), "complete": np.array(run.complete)}
   if files.run_json is not None:
@@ -264,21 +271,24 @@ def _understand(files: list[_Files], unreadable: list[str]) -> list[Run]:
   return good
 
 
-def read_runs(folders: list[str]) -> tuple[list[Run], list[str]]:
+def read_runs(folders: str | os.PathLike[str] | Sequence[str | os.PathLike[str]]) -> tuple[list[Run], list[str]]:
   """The runs in and below `folders`, each once, sorted by folder; and what could not be read, as sentences.
 
-  Refusal: a folder does not exist.
+  A folder may also be a result file, without .npz as in Run.folder.   FileNotFoundError: a folder does not exist.
   """
   found: set[str] = set()
   unreadable: list[str] = []
-  for folder in folders:
+  for given in [folders] if isinstance(folders, (str, os.PathLike)) else folders:
+    folder = os.path.expanduser(given)
     folder = folder if folder.strip("/") == "" else folder.rstrip("/")
-    if _is_result(folder):
-      found.add(folder)
-    elif os.path.isdir(folder):
-      _find_in(folder, found, unreadable)
-    else:
-      raise Refusal(f"{folder}: {'not a folder, and no result file' if os.path.exists(folder) else 'no such folder'}")
+    in_it: set[str] = set()
+    if os.path.isdir(folder):
+      _find_in(folder, in_it, unreadable)
+    if not in_it:  # a result file, beside which there may be a folder of its weights
+      in_it.update(path for path in (folder, folder + SUFFIX) if _is_result(path))
+    if not in_it and not os.path.isdir(folder):
+      raise FileNotFoundError(f"{folder}: {'not a folder, and no result file' if os.path.exists(folder) else 'no such folder'}")
+    found |= in_it
   files = []
   one_name = {os.path.realpath(path): path for path in sorted(found, reverse=True)}  # of those of the same run the first
   for path in sorted(one_name.values()):
@@ -290,7 +300,10 @@ def read_runs(folders: list[str]) -> tuple[list[Run], list[str]]:
 
 
 def read_curve(path: str) -> Curve:
-  """The learning curve of a run folder, a result file, or a stats.jsonl.   Refusal: there is none."""
+  """The learning curve of a run folder, a result file, with or without .npz, or a stats.jsonl.   Refusal: there is none."""
+  result = path.rstrip("/") + SUFFIX
+  if not os.path.isfile(path) and not find_log(path, "stats.jsonl") and _is_result(result):
+    path = result
   if not os.path.exists(path):
     raise Refusal(f"{path}: no such run folder or file")
   if os.path.isdir(path):
@@ -317,12 +330,11 @@ _COLUMNS = ("folder", "agent", "env", "eval_env", "seed", "steps", "complete", *
 
 
 def _found(paths: Sequence[str | os.PathLike[str] | Run]) -> tuple[list[Run], list[str]]:
-  """Those that are runs, and the runs in and below the others; as read_runs.   FileNotFoundError: a folder does not exist."""
-  try:
-    runs, unreadable = read_runs([os.path.expanduser(path) for path in paths if not isinstance(path, Run)])
-  except Refusal as error:
-    raise FileNotFoundError(str(error)) from None
-  return [path for path in paths if isinstance(path, Run)] + runs, unreadable
+  """Those that are runs, and further runs in and below the others; as read_runs.   FileNotFoundError: a folder does not exist."""
+  runs, unreadable = read_runs([path for path in paths if not isinstance(path, Run)])
+  given = list(dict.fromkeys(path for path in paths if isinstance(path, Run)))
+  theirs = {os.path.realpath(run.folder) for run in given}
+  return given + [run for run in runs if os.path.realpath(run.folder) not in theirs], unreadable
 
 
 def load(*folders: str | os.PathLike[str] | Run | list) -> pandas.DataFrame:

@@ -91,13 +91,13 @@ def welch(a: Spread, b: Spread) -> float | None:
   return _beyond((a.mean - b.mean) / math.sqrt(va + vb), freedom)
 
 
-def expected_within_two_deviations(seeds: int) -> tuple[float, float]:
-  """The share of single runs to expect within two deviations of a mean over `seeds`, if nothing else differs.
+def expected_within_two_deviations(seeds: int, ours: int = 1) -> tuple[float, float]:
+  """The share of means over `ours` runs to expect within two deviations of a mean over `seeds`, if nothing else differs.
 
   The first allows for mean and deviation being estimates, the second takes them as exact.
   """
-  estimated = 1 - _beyond(2 / math.sqrt(1 + 1 / seeds), seeds - 1)
-  return estimated, math.erf(2 / math.sqrt(2))
+  estimated = 1 - _beyond(2 / math.sqrt(1 / ours + 1 / seeds), seeds - 1)
+  return estimated, math.erf(2 * math.sqrt(ours) / math.sqrt(2))
 
 
 def correlation(a: Sequence[float], b: Sequence[float]) -> float | None:

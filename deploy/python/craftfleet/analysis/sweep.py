@@ -6,6 +6,7 @@ import os
 import shlex
 import signal
 import sys
+import time
 from collections import Counter
 
 from . import _cli, experiments, programs, slurm
@@ -50,27 +51,29 @@ FLAGS = [
 
 
 def _handle_signals(sweep: Sweep) -> None:
-  """The first SIGTERM, SIGINT or SIGHUP stops the sweep; a second SIGTERM or SIGINT ends this process at once."""
+  """The first SIGTERM, SIGINT or SIGHUP stops the sweep; a later SIGTERM or SIGINT ends this process at once. Those of half a
+  second are one: timeout(1) signals its command and then their group."""
   received = []
   def on_signal(number, _frame):
     if number != signal.SIGHUP:
-      received.append(number)
-    if len(received) > 1:
+      received.append(time.monotonic())
+    if received and received[-1] - received[0] > 0.5:
       os._exit(130)  # pylint: disable=protected-access
     sweep.stop()
   signal.signal(signal.SIGTERM, on_signal)
   signal.signal(signal.SIGINT, on_signal)
-  if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:  # as under nohup
-    signal.signal(signal.SIGHUP, on_signal)
+  # Under nohup it does nothing, but is not ignored: runs would inherit that, and sweep.stop() sends it to them.
+  is_ignored = signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+  signal.signal(signal.SIGHUP, (lambda *_: None) if is_ignored else on_signal)
 
 
-def _list(cells: list[Cell], flags) -> None:
+def _list(cells: list[Cell], flags, texture_digest: str) -> None:
   done: Counter[str] = Counter()
   if flags.logdir:
-    jobs = plan(cells, flags.logdir, flags.seeds, flags.steps)
+    jobs = plan(cells, flags.logdir, flags.seeds, texture_digest, flags.steps)
     done.update(os.path.dirname(job.folder) for job, state in zip(jobs, states_or_none(jobs)) if state.finished)
   for cell in cells:
-    line = f"{f'{cell.experiment}/{cell.name}':48} {cell.steps:9d} steps"
+    line = f"{f'{cell.experiment}/{cell.name}':48} {flags.steps or cell.steps:9d} steps"
     if flags.logdir:
       line += f"   {done[os.path.join(flags.logdir, cell.folder)]} of {flags.seeds} done"
     print(line + (f"   as {cell.folder}" if cell.folder != f"{cell.experiment}/{cell.name}" else ""))
@@ -134,17 +137,22 @@ def _check_flags(flags) -> None:
     raise Refusal(f"--slurm_flags={flags.slurm_flags}: {error}") from None
 
 
-def _jobs(cells: list[Cell], flags) -> list[Job]:
+def _texture_digest(flags) -> str:
   answer = programs.ask([{"textures_in": flags.textures}])[0]
   if "error" in answer:
     raise Refusal(answer["error"])
-  drawn = cells_with_textures(cells, answer["digest"])
+  return answer["digest"]
+
+
+def _jobs(cells: list[Cell], flags) -> list[Job]:
+  digest = _texture_digest(flags)
+  drawn = cells_with_textures(cells, digest)
   if len(drawn) < len(cells):
     print(f"{PROGRAM}: {len(cells) - len(drawn)} cells want other textures and are left out; --textures selects the textures",
           file=sys.stderr)
   if flags.executor == "slurm":
     flags.logdir = os.path.abspath(flags.logdir)
-  return _named_runs(plan(drawn, flags.logdir, flags.seeds, flags.steps, _train_flags(flags)), flags.run)
+  return _named_runs(plan(drawn, flags.logdir, flags.seeds, digest, flags.steps, _train_flags(flags)), flags.run)
 
 
 def _run(flags, arguments: list[str]) -> int:
@@ -156,7 +164,7 @@ def _run(flags, arguments: list[str]) -> int:
     _write_configs(cells, flags.write_configs)
     return 0
   if flags.list:
-    _list(cells, flags)
+    _list(cells, flags, _texture_digest(flags) if flags.logdir else "")
     return 0
   if not flags.logdir:
     raise Refusal("--logdir is missing: the folder for the runs")

@@ -7,6 +7,7 @@ import datetime
 import errno
 import fcntl
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -19,6 +20,9 @@ from .sweep_plan import Job, State, configuration_problems, prepare_folder, stat
 
 _REPORT_EVERY = 30.0  # seconds between lines of progress
 _LOOK_AGAIN = 2.0  # seconds between looks at a folder that another process uses
+# Stops a run with a checkpoint, also one that got a SIGTERM with its sweep, as from Slurm and systemd: a second SIGTERM would
+# end it at once.
+_STOP = signal.SIGHUP
 
 
 def check_configuration(job: Job) -> None:
@@ -109,7 +113,7 @@ class Sweep:
     """Ends the children and starts no more. May be called by a signal handler and by other threads."""
     self._stopping.set()
     for child in list(self._children.values()):
-      child.terminate()
+      child.send_signal(_STOP)
 
   def _look_at_folders(self) -> None:
     for job in self._jobs:
@@ -122,8 +126,8 @@ class Sweep:
       self._first_steps[job.name] = min(state.steps, job.steps)
       if state.finished:
         self._stages[job.name] = "done"
-    count = len(self._jobs)
-    self._print(f"{count:,} run{'' if count == 1 else 's'}, of which {self._count('done')} are done already; "
+    count, done = len(self._jobs), self._count("done")
+    self._print(f"{count:,} run{'' if count == 1 else 's'}, of which {done} {'is' if done == 1 else 'are'} done already; "
                 f"{self._at_a_time} at a time")
 
   def _run_job(self, job: Job) -> None:
@@ -178,17 +182,21 @@ class Sweep:
   def _run_child(self, job: Job, resumes: bool, log: str) -> int:
     """Runs `craftfleet train`; returns its exit code, as a shell's."""
     try:
-      with open(log, "ab") as output:
+      output = open(log, "ab")
+    except OSError as error:
+      raise Refusal(f"cannot open {log}: {error.strerror}") from None
+    with output:
+      try:
         # In its own group, so that Ctrl-C on the terminal reaches it only through stop().
         child = subprocess.Popen([*self._train, *(job.resume if resumes else job.start)], stdin=subprocess.DEVNULL, stdout=output,
                                  stderr=output, env=self._environment, process_group=0)
-    except OSError as error:
-      raise Refusal(f"cannot start {self._train[0]}: {error.strerror}") from None
+      except OSError as error:
+        raise Refusal(f"cannot start {self._train[0]}: {error.strerror}") from None
     self._children[job.name] = child
     self._started.add(job.name)
     self._print(f"{'resumes' if resumes else 'starts'}: {job.name}")
     if self._stopping.is_set():  # a signal came while it was started
-      child.terminate()
+      child.send_signal(_STOP)
     code = child.wait()
     del self._children[job.name]
     return code if code >= 0 else 128 - code

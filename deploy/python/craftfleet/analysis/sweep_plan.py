@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import os
 import re
 from collections.abc import Sequence
@@ -47,6 +48,7 @@ class Job:
   steps: int  # to train
   start: list[str]  # arguments of `craftfleet train` for a new run
   resume: list[str]
+  texture_digest: str  # of its textures
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,8 +62,9 @@ def cell_file(cell: Cell) -> str:
   return f"# {cell.experiment}, {cell.name}; values that are not given have their defaults.\n{cell.config_text}"
 
 
-def plan(cells: Sequence[Cell], logdir: str, seeds: int, steps: int = 0, train_flags: Sequence[str] = ()) -> list[Job]:
-  """Seed 1 of every cell, then seed 2, ...; cells that share a folder are run once."""
+def plan(cells: Sequence[Cell], logdir: str, seeds: int, texture_digest: str, steps: int = 0,
+         train_flags: Sequence[str] = ()) -> list[Job]:
+  """Seed 1 of every cell, then seed 2, ...; cells that share a folder are run once. `texture_digest`: of cells that take any."""
   distinct = {}
   for cell in cells:
     distinct.setdefault(cell.folder, cell)
@@ -73,7 +76,8 @@ def plan(cells: Sequence[Cell], logdir: str, seeds: int, steps: int = 0, train_f
       wanted = steps or cell.steps
       shared = [f"--steps={wanted}", f"--logdir={folder}", *train_flags]
       jobs.append(Job(f"{cell.folder}/seed{seed}", folder, config, cell_file(cell), wanted,
-                      [f"--config={config}", f"--seed={seed}", *shared], ["--resume", *shared]))
+                      [f"--config={config}", f"--seed={seed}", *shared], ["--resume", *shared],
+                      cell.texture_digest or texture_digest))
   return jobs
 
 
@@ -105,8 +109,22 @@ def _with_steps(config: str, steps: int) -> str:
   return re.sub(r"(?m)^steps: .*\n", "", config) + f"\nsteps: {steps}\n"
 
 
+def _check_textures(job: Job) -> None:
+  """Refusal: the folder's run has other textures."""
+  path = os.path.join(job.folder, "run.json")
+  if not os.path.exists(path):
+    return
+  try:
+    digest = json.loads(_cli.read_text(path))["texture_digest"]
+  except (ValueError, KeyError, TypeError):
+    raise Refusal(f'{path}: no "texture_digest", want the digest of the textures') from None
+  if digest != job.texture_digest:
+    raise Refusal(f"{path}: the run has textures {digest}, want {job.texture_digest}: use another --logdir, or give those of the "
+                  "run with --textures")
+
+
 def configuration_problems(jobs: Sequence[Job]) -> list[Refusal | None]:
-  """For each job why its folder's run is not its own: it has another configuration, or none that can be read."""
+  """For each job why its folder's run is not its own: it has another configuration, other textures, or none that can be read."""
   problems: list[Refusal | None] = [None] * len(jobs)
   questions = {}  # by number of the job
   for number, job in enumerate(jobs):
@@ -116,6 +134,7 @@ def configuration_problems(jobs: Sequence[Job]) -> list[Refusal | None]:
         # The steps may change when the run is resumed.
         questions[number] = [{"config": _with_steps(_cli.read_text(path), job.steps), "path": path},
                              {"config": _with_steps(job.config_text, job.steps), "path": job.config_path}]
+        _check_textures(job)
     except Refusal as error:
       problems[number] = error
   answers = programs.ask([question for both in questions.values() for question in both])
@@ -124,7 +143,8 @@ def configuration_problems(jobs: Sequence[Job]) -> list[Refusal | None]:
     if error is None and run["identity"] != cell["identity"]:
       job = jobs[number]
       error = f"{job.folder}/config.txt is not this cell's configuration ({job.config_path}): use another --logdir"
-    problems[number] = Refusal(error) if error else None
+    if error:
+      problems[number] = Refusal(error)
   return problems
 
 

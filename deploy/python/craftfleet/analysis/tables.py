@@ -267,7 +267,6 @@ def compared_rows(experiment: ExperimentResult, paper: Figures, measure: str, co
 def _agreement_table(experiment: ExperimentResult, paper: Figures) -> str:
   """How far a table of two axes agrees with the paper's: differences, correlation, rows within two deviations."""
   rows = []
-  low, high = statistics.expected_within_two_deviations(PAPER_SEEDS)
   for number, choice in enumerate(experiment.axes[1].choices):
     for measure in SCORES:
       compared = compared_rows(experiment, paper, measure, number)
@@ -275,11 +274,12 @@ def _agreement_table(experiment: ExperimentResult, paper: Figures) -> str:
         continue
       differences = [ours.mean - figure.mean for ours, figure in compared]
       within = sum(abs(difference) <= 2 * (figure.deviation or 0) + 1e-9 for difference, (_, figure) in zip(differences, compared))
+      expected = [statistics.expected_within_two_deviations(PAPER_SEEDS, ours.n) for ours, _ in compared]
       seeds = sorted({ours.n for ours, _ in compared})
       correlation = statistics.correlation([ours.mean for ours, _ in compared], [figure.mean for _, figure in compared])
       rows.append([choice.label, MEASURES[measure].label, str(len(compared)), ", ".join(map(str, seeds)),
                    f"{np.mean(differences):+.1f}", "" if correlation is None else f"{correlation:.2f}", str(within),
-                   f"{low * len(compared):.1f} to {high * len(compared):.1f}"])
+                   " to ".join(f"{sum(shares):.1f}" for shares in zip(*expected))])
   header = ["against the paper", "", "rows", "n of ours", "mean difference", "correlation", "within two deviations", "to expect"]
   return markdown(header, rows) if rows else ""
 

@@ -41,9 +41,9 @@ def web_page(runs: Sequence[Run]) -> str:
                  key=lambda pair: -pair[1].training.score)
   shown = [(name, run) for name, run in named if len(run.training)][:len(COLORS)]
   page = (f'<!doctype html>\n<html lang="en">\n<meta charset="utf-8">\n<meta name="viewport" content="width=device-width">\n'
-          f"<title>CraftFleet: report</title>\n<style>\n{_STYLE}\n</style>\n<h1>{len(runs)} runs, {sum(run.complete for run in runs)} "
-          "complete</h1>\n<p>Scores are Crafter scores of all training episodes, rewards means of the last 100; evaluations are sampled."
-          "</p>\n")
+          f"<title>CraftFleet: report</title>\n<style>\n{_STYLE}\n</style>\n<h1>{len(runs)} run{'' if len(runs) == 1 else 's'}, "
+          f"{sum(run.complete for run in runs)} complete</h1>\n<p>Scores are Crafter scores of all training episodes, rewards "
+          "means of the last 100; evaluations are sampled.</p>\n")
   board = _table(["run", "score", "reward", "evaluation", "unlocked", "steps", "agent", "environment", "seed"],
                  [_row(name, run) for name, run in named])
   if not shown:
