@@ -3,7 +3,8 @@
 # learns at once: <out>/<step>.log, and a line in <out>/steps.txt. OC-SA trains in the background from the end of part a on.
 # Needs bash and Python with torch, and programs from a build against the same LibTorch.
 #
-# Usage: deploy/gpu_session.sh bundle --bin=DIR --out=DIR     copies the programs of a build with the libraries that they need
+# Usage: deploy/gpu_session.sh bundle --bin=DIR --out=DIR     copies the programs of a build with the libraries that they need:
+#                                 without video and windows (as of the preset wheel) 100 MB, otherwise 400 MB
 #        deploy/gpu_session.sh a|b --bin=DIR --out=DIR [OPTION]...
 #   a                 the machine, a smoke run, device_check, short runs of each agent
 #   b                 waits for OC-SA, keeps its weights, log and score, then trains PPO-CNN for a million steps
@@ -43,9 +44,13 @@ if [ "$part" = bundle ]; then
   for program in craftfleet craftfleet-torch device_check; do
     if [ -x "$bin/$program" ]; then install -s "$bin/$program" "$out/bin/"; fi
   done
-  # glibc, C++ and whatever comes with LibTorch are there.
+  # glibc, C++ and LibTorch with what comes in its folder are there.
+  libtorch=$(readlink -m "$out/lib/craftfleet/libtorch")
   ldd "$out"/bin/* | awk '$2 == "=>" && $3 ~ "^/" {print $3}' | sort -u |
-    grep -vE '/(lib(c|m|dl|rt|pthread|stdc\+\+|gcc_s)\.so|lib(torch|c10|cu|nv|gomp|shm)|ld-linux)' | xargs -r cp -Lt "$out/lib"
+    grep -vE '/(lib(c|m|mvec|dl|rt|pthread|util|resolv|anl|stdc\+\+|gcc_s)\.so|lib(torch|c10)[_.]|ld-linux)' |
+    while read -r library; do
+      [[ $(readlink -f "$library") == @("$libtorch"|*/nvidia)/* ]] || cp -Lt "$out/lib" "$library"
+    done
   mkdir -p "$out/share/craftfleet"
   cp -r "$source/envserver/textures" "$out/share/craftfleet/"
   du -sh "$out"
@@ -100,16 +105,19 @@ else
   precision="precision: TF32"
 fi
 agents=()
+iterations=6
 profiled=ppo_cnn,lstm_cnn,oc_sa
 small_config=''
 if [ -n "$small" ]; then
   small_config="network { frame_size: 40 } ppo { epochs: 1 }"
+  iterations=2
   profiled=ppo_cnn
   check+=(--small)
   agents=(--agents=ppo_cnn)
 fi
 
 if [ "$part" = a ]; then
+  [ ! -e "$work/oc_sa.pid" ] || refuse "--work=$work: has a run already; stop it and remove the folder"
   step machine 10 lscpu || true
   [ "$device" = cpu ] || step gpu 10 nvidia-smi -q || true
   step doctor 20 "$bin/craftfleet" doctor || true
@@ -122,8 +130,8 @@ if [ "$part" = a ]; then
   step profile 40 "${check[@]}" --agents="$profiled" --checks=profile --profile="$out/profiles" || true
   bench=("$source/tests/bench/train/device_bench.py" --bin="$bin" --device="$device")
   for wanted in false true; do  # the weights are to be the same
-    step "acting_stream_$wanted" 20 python3 "${bench[@]}" --agents=ppo_cnn --iterations=6 --out="$out/acting_stream.jsonl" \
-      --config="overlap: 1 acting_stream: $wanted $small_config" || true
+    step "acting_stream_$wanted" 20 python3 "${bench[@]}" --agents=ppo_cnn --iterations="$iterations" \
+      --config="overlap: 1 acting_stream: $wanted $small_config" --out="$out/acting_stream.jsonl" || true
   done
   loops=("${bench[@]}" --iterations=3 --run_limit=40 --config="$small_config"
     --limit=$((end - SECONDS - 5)) --logs="$out/loops" --out="$out/loops.jsonl" "${agents[@]}")
@@ -133,6 +141,13 @@ if [ "$part" = a ]; then
   config oc_sa 1000000 100 "$precision" >"$work/oc_sa.txt"
   setsid "${train[@]}" --config="$work/oc_sa.txt" --logdir="$work/oc_sa" >"$work/oc_sa.log" 2>&1 </dev/null &
   echo $! >"$work/oc_sa.pid"
+  sleep 2
+  if kill -0 $! 2>/dev/null; then
+    echo "oc_sa: runs" | tee -a "$out/steps.txt"
+  elif ! wait $!; then
+    echo "oc_sa: has failed, see $work/oc_sa.log" | tee -a "$out/steps.txt"
+    failed=$((failed + 1))
+  fi
 else
   [ -r "$work/oc_sa.pid" ] || refuse "--work=$work: no run of OC-SA there; part a starts it"
   step oc_sa "$((seconds - 100))" tail --pid="$(cat "$work/oc_sa.pid")" -f /dev/null || true

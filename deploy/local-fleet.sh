@@ -11,7 +11,8 @@
 #   --logdir=DIR     folder of the run; the workers' logs are appended to DIR/fleet/NAME.log
 #   LEARNER FLAG     any flag of craftfleet-learner (see its --help); --textures goes to the environment servers too,
 #                    --tls_cert, --tls_key, --tls_ca, --tls_server_name and --token_file to all workers
-# The exit code is the learner's, or 1 if no actor or no environment server is left.
+# The exit code is the learner's, or 1 if no actor or no environment server is left. Where these left with 0, as at the end of a
+# run, the learner has 300 s to write its last checkpoint.
 
 set -euo pipefail
 
@@ -78,6 +79,7 @@ cores=$(env -u OMP_NUM_THREADS -u OMP_THREAD_LIMIT nproc)
 mkdir -p "$logdir/fleet"
 sockets=$(mktemp -d "$folder/craftfleet.XXXXXX")
 declare -A names=()  # the running workers, by process id
+patience=${CRAFTFLEET_FLEET_PATIENCE:-300}  # seconds; tests have less
 
 # Each process has a group of its own, so that Ctrl-C reaches it once, through this script.
 set -m
@@ -159,7 +161,13 @@ any_left() {
 while true; do
   ended=
   status=0
-  wait -n -p ended "$learner" "${!names[@]}" || status=$?
+  # When a command ends, bash forgets the jobs that a signal has ended meanwhile: wait -n does not find them, wait does.
+  for pid in "${!names[@]}" "$learner"; do kill -0 "$pid" 2>/dev/null || ended=$pid; done
+  if [ -n "$ended" ]; then
+    wait "$ended" || status=$?
+  else
+    wait -n -p ended "$learner" "${!names[@]}" || status=$?
+  fi
   [ -n "${ended:-}" ] || continue  # a signal
   if [ "$ended" = "$learner" ]; then
     learner=
@@ -172,10 +180,13 @@ while true; do
   [ "$status" -eq 0 ] || say "$name ended with exit code $status: $(tail -n 1 "$logdir/fleet/$name.log")"
   if any_left actor && any_left envserver; then continue; fi
   case $name:$status in
-    patience:*) [ -z "$stopping" ] || continue ;;
-    *:0)  # at the end of the run actors exit on their own, some before the learner
-      sleep 15 &
-      names[$!]=patience
+    patience-:*) [ -z "$stopping" ] || continue ;;
+    *:0)  # at the end of the run actors exit on their own, before the learner has written its last checkpoint
+      if ! any_left patience; then
+        say "workers have left; the learner has $patience s to write its last checkpoint"
+        setpriv --pdeathsig TERM sleep "$patience" &
+        names[$!]=patience-
+      fi
       continue
       ;;
   esac

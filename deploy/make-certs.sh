@@ -39,6 +39,9 @@ for argument in "$@"; do
     refuse "'$argument', want NAME[=HOST,...] of letters, digits and ._*-, other than ca; options come before DIR"
 done
 
+[ -e "$dir/ca.pem" ] || [ ! -e "$dir/ca.key" ] ||
+  refuse "$dir/ca.key is there without ca.pem: put ca.pem back, or remove ca.key for a new authority"
+
 umask 077
 mkdir -p "$dir"
 work=$(mktemp -d "$dir/.new.XXXXXX")

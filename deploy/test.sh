@@ -27,11 +27,27 @@ add_failure() {
   failed=$((failed + 1))
 }
 
+# The build folder of a preset.
+folder() { if [[ $1 == release || $1 == ci ]]; then echo build; else echo "build-$1"; fi; }
+
+# Builds a preset while the tests of another run, which mostly wait. They have deadlines, so it gets only the CPU time that they
+# leave: Linux weighs sessions against each other whatever the nice values in them, hence the autogroup.
+beside=
+build_beside() {
+  echo "Building $1 beside the tests."
+  mkdir -p "$(folder "$1")"
+  # shellcheck disable=SC2016  # the inner shell expands it
+  setsid nice -n 19 bash -c '{ echo 19 >/proc/self/autogroup; } 2>/dev/null; exec "$@"' - \
+    deploy/build.sh "$1" "${settings[@]}" >"$(folder "$1")/build.log" 2>&1 &
+  beside=$!
+}
+trap '[ -z "$beside" ] || kill -- "-$beside"' EXIT
+
 # Runs the tests of a build and adds up their results. Arguments: its preset, then arguments of ctest.
 run_suite() {
-  local preset=$1 results=$PWD/build-$1/test-results.xml ctest_failed=0
+  local preset=$1 results ctest_failed=0
   shift
-  [[ $preset != release && $preset != ci ]] || results=$PWD/build/test-results.xml
+  results=$PWD/$(folder "$preset")/test-results.xml
   rm -f "$results"
   # GDAL, a dependency of OpenCV, takes its locks in varying order. Races are still reported.
   [ "$preset" != tsan ] || export TSAN_OPTIONS=detect_deadlocks=0
@@ -74,10 +90,21 @@ else
   deploy/install-deps.sh --tests --developer
 fi
 # Tests that are selected by name have ctest entries of their own; otherwise one runs many.
-by_program=ON
-[ $# -eq 0 ] || by_program=OFF
-for suite in ${suites//,/ }; do
-  if deploy/build.sh "$suite" -DCRAFTFLEET_BUILD_TESTS=ON "-DCRAFTFLEET_TEST_PROGRAMS=$by_program"; then
+settings=(-DCRAFTFLEET_BUILD_TESTS=ON -DCRAFTFLEET_TEST_PROGRAMS=ON)
+[ $# -eq 0 ] || settings[1]=-DCRAFTFLEET_TEST_PROGRAMS=OFF
+IFS=, read -ra suites <<<"$suites"
+for i in "${!suites[@]}"; do
+  suite=${suites[$i]} next=${suites[$((i + 1))]:-}
+  built=yes
+  if [ -n "$beside" ]; then
+    wait "$beside" || built=
+    beside=
+    cat "$(folder "$suite")/build.log"
+  else
+    deploy/build.sh "$suite" "${settings[@]}" || built=
+  fi
+  if [ -n "$next" ] && [ "$(folder "$next")" != "$(folder "$suite")" ]; then build_beside "$next"; fi
+  if [ -n "$built" ]; then
     run_suite "$suite" "$@"
   else
     add_failure "$suite does not build"

@@ -50,9 +50,13 @@ mount --bind "$root" "$root"  # tests make mount namespaces, for which / must be
 mounted=("$root")
 # shellcheck disable=SC2317  # the trap calls it
 clean_up() {
-  for ((i = ${#mounted[@]} - 1; i >= 0; i--)); do umount --recursive "${mounted[$i]}" || true; done
+  local mounts
+  for ((i = ${#mounted[@]} - 1; i >= 0; i--)); do umount --recursive --lazy "${mounted[$i]}" || true; done
+  mounts=$(findmnt --list --noheadings --output TARGET || echo "$root")
   if [ -n "$keep" ]; then
     echo "try-distro.sh: the root is $root"
+  elif [[ $mounts == *"$root"* ]]; then  # rm would empty the folders that are mounted there
+    echo "try-distro.sh: still mounted, not removed: $root" >&2
   else
     rm -rf --one-file-system "$root"
   fi

@@ -9,6 +9,7 @@ import re
 import shlex
 import shutil
 import subprocess
+import tempfile
 import unittest
 
 from tests.deploy.flags import unknown_flags
@@ -115,6 +116,43 @@ class Dockerfiles(unittest.TestCase):
         continue  # only for windows, which this build may have; or part of LibTorch, which the GPU image copies
       self.assertTrue(owners & (packages(run) | base), f"a program wants {library}, of {owners}")
 
+  def test_a_checkout_without_what_is_ignored_is_not_called_changed(self):
+    source = pathlib.Path(self.enterContext(tempfile.TemporaryDirectory())) / "src"
+    source.mkdir()
+    git = ["git", "-C", source, "-c", "user.name=t", "-c", "user.email=t@t"]
+    for line in (SOURCE / ".dockerignore").read_text(encoding="utf-8").split():
+      if line.endswith("/") and "*" not in line:
+        (source / line).mkdir(parents=True)
+        (source / line / "file").touch()
+    (source / "CMakeLists.txt").touch()
+    for command in (["init", "--quiet"], ["add", "."], ["commit", "--quiet", "--message=all"]):
+      subprocess.run([*git, *command], check=True)
+    (source.parent / "in").write_text("@GIT_REVISION@", encoding="utf-8")
+
+    def revision():
+      subprocess.run(["cmake", f"-DSOURCE_DIR={source}", f"-DINPUT={source.parent}/in", f"-DOUTPUT={source.parent}/out", "-P",
+                      SOURCE / "cmake/version.cmake"], check=True)
+      return (source.parent / "out").read_text(encoding="utf-8")
+
+    for file in source.rglob("*/file"):
+      if ".git" not in file.parts:
+        file.unlink()
+    self.assertRegex(revision(), "^[0-9a-f]{7,40}$")
+    (source / "CMakeLists.txt").write_text("changed", encoding="utf-8")
+    self.assertRegex(revision(), "^[0-9a-f]{7,40}-dirty$")
+
+  def test_matplotlib_has_a_folder_under_a_read_only_root(self):
+    tried = subprocess.run(["unshare", "--mount", "true"], capture_output=True, text=True, check=False)
+    if tried.returncode != 0 or subprocess.run(["/usr/bin/python3", "-c", "import matplotlib"], capture_output=True, check=False).returncode:
+      self.skipTest("want root and matplotlib")
+    for name in ("Dockerfile", "Dockerfile.gpu"):
+      variables = [word for instruction, arguments in instructions(name) if instruction == "ENV" for word in shlex.split(arguments)]
+      drawn = subprocess.run(
+          ["unshare", "--mount", "sh", "-c", "mount -t tmpfs tmpfs /dev/shm && mount -o remount,bind,ro / && exec \"$@\"", "-", "env", "-i",
+           "PATH=/usr/bin:/bin", "HOME=/home/craftfleet", *variables, "/usr/bin/python3", "-c", "import matplotlib; print(matplotlib.get_cachedir())"],
+          capture_output=True, text=True, check=False, cwd="/")
+      self.assertEqual((drawn.returncode, drawn.stdout), (0, "/dev/shm/matplotlib\n"), drawn.stderr)
+
   def test_images_run_without_root_and_watch_their_health(self):
     for name in DOCKERFILES:
       last = dict(instructions(name))  # a repeated instruction has the value of the last stage
@@ -151,8 +189,9 @@ class EnvserverImage(python_case.FolderCase):
     self.assertEqual([path.name for path in (self.root / "usr/local/bin").iterdir() if not path.name.startswith("craftfleet")], [])
 
   def test_the_environment_server_runs_in_its_image(self):
-    if os.geteuid() != 0:
-      self.skipTest("chroot needs root")
+    tried = subprocess.run(["unshare", "--mount", "true"], capture_output=True, text=True, check=False)
+    if tried.returncode != 0:
+      self.skipTest(f"no mounts of its own: {tried.stderr.strip()}; want root")
     (self.root / "proc").mkdir()
     log = self.folder / "log"
     with open(log, "wb") as out:

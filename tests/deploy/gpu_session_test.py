@@ -1,6 +1,7 @@
 """The script for fifteen minutes on a GPU, from beginning to end on the CPU, and device_check on the tests' stand-in."""
 
 import json
+import re
 import subprocess
 
 from tests.fakes import python_case
@@ -16,6 +17,12 @@ class GpuSession(python_case.FolderCase):
     run = lambda *arguments: subprocess.run([session, *arguments], capture_output=True, text=True, check=False, timeout=280)
     bundle = run("bundle", f"--bin={python_case.BIN}", f"--out={self.folder}/bundle")
     self.assertEqual(bundle.returncode, 0, bundle.stderr)
+    # LibTorch, glibc and the libraries of C++ are there.
+    there = re.compile(r"(ld-linux.*|lib(torch|c10)[_.].*|lib(c|m|mvec|dl|rt|pthread|util|resolv|anl|stdc\+\+|gcc_s)\.so.*)$")
+    listed = subprocess.run(["ldd", *(self.folder / "bundle/bin").iterdir()], capture_output=True, text=True, check=True).stdout
+    wanted = {name for name in re.findall(r"^\s*(\S+) =>", listed, re.MULTILINE) if not there.match(name)}
+    self.assertGreater(len(wanted), 20)
+    self.assertEqual(wanted - {path.name for path in (self.folder / "bundle/lib").iterdir()}, set())
     for part in "ab":
       result = run(part, f"--bin={self.folder}/bundle/bin", f"--out={self.folder}/{part}", f"--work={self.folder}/work",
                    "--device=cpu", "--small", "--seconds=250")
@@ -37,12 +44,17 @@ class GpuSession(python_case.FolderCase):
     for name, script in [("craftfleet", "[ \"$1\" = doctor ] || sleep 8"), ("device_check", "exit 1")]:
       (self.folder / "bin" / name).write_text(f"#!/bin/sh\n{script}\n")
       (self.folder / "bin" / name).chmod(0o755)
-    result = subprocess.run([python_case.SOURCE / "deploy/gpu_session.sh", "a", f"--bin={self.folder}/bin", "--small",
-                             f"--out={self.folder}/out", f"--work={self.folder}/work", "--device=cpu", "--seconds=3"],
-                            capture_output=True, text=True, check=False, timeout=60)
+    run = lambda: subprocess.run([python_case.SOURCE / "deploy/gpu_session.sh", "a", f"--bin={self.folder}/bin", "--small",
+                                  f"--out={self.folder}/out", f"--work={self.folder}/work", "--device=cpu", "--seconds=3"],
+                                 capture_output=True, text=True, check=False, timeout=60)
+    result = run()
     self.assertEqual(result.returncode, 1)
     self.assertRegex((self.folder / "out/steps.txt").read_text(), r"smoke: exit code 124 after \d of \d s")
     self.assertIn("left out, 3 s are over", result.stdout)
+    self.assertIn("oc_sa: runs", result.stdout)
+    again = run()
+    self.assertEqual(again.returncode, 2, again.stdout)
+    self.assertIn(f"--work={self.folder}/work: has a run already; stop it and remove the folder", again.stderr)
 
   def test_device_check_agrees_on_the_stand_in(self):
     for agent in ["ppo_cnn", "lstm_cnn", "oc_sa"]:

@@ -14,12 +14,12 @@ class LocalFleet(python_case.FolderCase):
     super().setUp()
     (self.folder / "config.txt").write_text(python_case.SMALL_RUN)
 
-  def start(self, *flags, actors=2, envservers=2, steps=192):
+  def start(self, *flags, actors=2, envservers=2, steps=192, programs=BIN, **variables):
     process = subprocess.Popen(
-        [SOURCE / "deploy/local-fleet.sh", f"--bin={BIN}", f"--actors={actors}", f"--envservers={envservers}",
+        [SOURCE / "deploy/local-fleet.sh", f"--bin={programs}", f"--actors={actors}", f"--envservers={envservers}",
          f"--config={self.folder}/config.txt", f"--logdir={self.folder}/run", "--threads=1", f"--steps={steps}", *flags],
         stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True,
-        env={"TMPDIR": str(self.folder), "PATH": "/usr/bin:/bin"})
+        env={"TMPDIR": str(self.folder), "PATH": "/usr/bin:/bin", **variables})
     self.addCleanup(process.stderr.close)
     self.addCleanup(process.kill)
     return process
@@ -104,7 +104,7 @@ class LocalFleet(python_case.FolderCase):
     self.expect_nothing_left()
 
   def test_a_fleet_without_actors_ends_also_if_they_left_on_their_own(self):
-    process = self.start(actors=1, steps=1000000)
+    process = self.start(actors=1, steps=1000000, CRAFTFLEET_FLEET_PATIENCE="1")
     self.wait_for_checkpoint(1)
     actor, = self.processes("actor")
     os.kill(actor, signal.SIGTERM)
@@ -113,6 +113,38 @@ class LocalFleet(python_case.FolderCase):
     self.assertIn("no actor or no environment server is left", errors)
     self.assertNotIn("ended with exit code", errors)
     self.expect_nothing_left()
+
+  def stand_ins(self, **programs):
+    """A folder of programs: their shell scripts by name."""
+    folder = self.folder / "programs"
+    folder.mkdir()
+    for name, script in programs.items():
+      (folder / f"craftfleet-{name}").write_text(f"#!/bin/sh\n{script}\n")
+      (folder / f"craftfleet-{name}").chmod(0o755)
+    return folder
+
+  def test_actors_that_are_killed_together_are_all_named(self):
+    waiting = "exec sleep 600"
+    programs = self.stand_ins(learner=waiting, envserver=waiting, actor=f"echo $$ >>{self.folder}/actors\n{waiting}")
+    process = self.start(actors=4, programs=programs)
+    actors = self.folder / "actors"
+    wait_until(lambda: actors.exists() and len(actors.read_text().split()) == 4, "four actors")
+    subprocess.run(["kill", "-KILL", *actors.read_text().split()], check=True)
+    code, errors = self.finish(process)
+    self.assertEqual(code, 1, errors)
+    self.assertEqual(errors.count("ended with exit code 137"), 4, errors)
+
+  def test_a_learner_has_minutes_for_its_last_checkpoint(self):
+    programs = self.stand_ins(learner=f"until [ -e {self.folder}/written ]; do sleep 0.1; done", envserver="exec sleep 600",
+                              actor="exit 0")
+    process = self.start(programs=programs)
+    line = process.stderr.readline()
+    while line and "workers have left" not in line:
+      line = process.stderr.readline()
+    self.assertIn("the learner has 300 s to write its last checkpoint", line)
+    (self.folder / "written").touch()
+    code, errors = self.finish(process)
+    self.assertEqual(code, 0, errors)
 
   def test_flags_of_tls_reach_every_process(self):
     certs = self.folder / "certs"
