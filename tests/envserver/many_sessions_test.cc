@@ -1,7 +1,9 @@
 // EnvServiceImpl: sessions beside each other.
 #include <sys/resource.h>
+#include <unistd.h>
 
 #include <atomic>
+#include <fstream>
 #include <memory>
 #include <string>
 #include <thread>
@@ -39,7 +41,9 @@ TEST_F(EnvServiceTest, AnExceptionEndsOnlyItsSession) {
   ASSERT_THAT(session.Send(hello), IsOk());
   rlimit before{};
   ASSERT_EQ(getrlimit(RLIMIT_AS, &before), 0);
-  const rlimit limit = {4UL << 30, before.rlim_max};
+  rlim_t pages = 0;  // some GiB where many threads have stacks and arenas
+  std::ifstream("/proc/self/statm") >> pages;
+  const rlimit limit = {pages * sysconf(_SC_PAGESIZE) + (3UL << 30), before.rlim_max};
   ASSERT_EQ(setrlimit(RLIMIT_AS, &limit), 0);
   const absl::Status status = session.Send(OpenMany(EnvBatch::kMaxLanes)).status();
   ASSERT_EQ(setrlimit(RLIMIT_AS, &before), 0);

@@ -50,6 +50,7 @@ class BadPeersTest : public SmallRunTest {
 
 TEST_F(BadPeersTest, AnActorWaitsForItsLearnerAndItsEnvironmentServer) {
   const auto actor = StartActor(Address("learner"), Address("server"));
+  ASSERT_THAT(actor->WaitForAddress("status on ", kPatience), IsOk());
   EXPECT_TRUE(actor->WaitForText("warning: learner " + Address("learner") + ": ", kSoon)) << actor->Err();
   EXPECT_TRUE(actor->WaitForText("trying again until it answers", kSoon)) << actor->Err();
   const auto learner = StartLearner("run", Address("learner"));

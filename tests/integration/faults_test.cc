@@ -85,7 +85,7 @@ TEST_F(FaultsTest, AServerPausedFor4SecondsKeepsItsGamesAndOnePausedFor15LosesTh
   EXPECT_THAT(fleet.server->Err(), Not(HasSubstr("trying again")));
 
   fleet.server->Signal(SIGSTOP);
-  EXPECT_TRUE(fleet.actor->WaitForText("fragments returned", absl::Seconds(12))) << fleet.actor->Err();
+  EXPECT_TRUE(fleet.actor->WaitForText("fragments returned", absl::Seconds(15))) << fleet.actor->Err();
   absl::SleepFor(absl::Seconds(5));
   fleet.server->Signal(SIGCONT);
   ExpectCompleteLikeQuiet("paused-server", fleet.learner.get());

@@ -147,12 +147,6 @@ TEST_F(RanksTest, ARankWithAnotherConfigurationIsRefusedByName) {
             "rank 1: its flags ask for another configuration than rank 0's: modified: seed: 3 -> 4");
 }
 
-TEST_F(RanksTest, MoreLearnersThanShardsAreRefused) {
-  const auto rank = StartRank("many", 0, 5);
-  EXPECT_EQ(rank->Wait(kPatience), 1);
-  EXPECT_THAT(rank->Err(), HasSubstr("--world_size=5, but gradient_shards is 4"));
-}
-
 class RecurrentRanksTest : public RanksTest {
  protected:
   void SetUp() override { TrainQuietly(kRecurrentConfig); }

@@ -3,6 +3,7 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
+#include <csignal>
 #include <memory>
 #include <optional>
 #include <random>
@@ -141,7 +142,10 @@ TEST_F(SecureFleetTest, TokensReplacedWithoutOverlapAreUsed) {
   actor_ = Start("craftfleet-actor", "token-actor",
                  Tls("actor", {learner_flag, "--envservers=learner", "--threads=2", token_flag}));
   WaitForCheckpoint("token", 2);
+  actor_->Signal(SIGSTOP);  // else the run might end before the learner looks at the file
   allow("new");
+  ASSERT_TRUE(learner_->WaitForText("access.txt was read again", kPatience)) << learner_->Err();
+  actor_->Signal(SIGCONT);
   for (const Process* worker : {actor_.get(), server_.get()}) {
     ASSERT_TRUE(worker->WaitForText("trying again until it answers", kPatience)) << worker->Err();
   }

@@ -12,6 +12,7 @@
 #include <gtest/gtest.h>
 
 #include "tests/fakes/threads.h"
+#include "tests/fakes/wait_until.h"
 #include "tests/learner/service/learner_service_fixture.h"
 
 namespace craftfleet {
@@ -140,10 +141,10 @@ TEST_F(LearnerServiceTest, WaitingActorsHaveNoThreads) {
     actors.push_back(std::make_unique<IdleActor>(stub_.get(), name, &ended));
   }
   int most = before;
-  while (ended < kActors) {
+  ASSERT_TRUE(WaitUntil([&] {
     most = std::max(most, CountThreads());
-    absl::SleepFor(absl::Milliseconds(1));
-  }
+    return ended == kActors;
+  }));
   EXPECT_LT(most, before + 40) << before << " threads before";
 }
 
