@@ -10,7 +10,7 @@ namespace craftfleet {
 namespace {
 
 constexpr absl::string_view kComputes =
-    "run the same build with the same libraries everywhere; if CPUs differ, start the run with --cpu=avx2";
+    "run the same build with the same libraries everywhere; if CPUs differ, start the run with --cpu=avx2 and in FP32";
 constexpr absl::string_view kPlays = "run the same build everywhere";
 constexpr size_t kMaxShown = 64;  // bytes of a worker's text; a canary has 16
 
