@@ -126,10 +126,12 @@ absl::StatusOr<BuildCheck::Options> ExpectedBuild(const v1::RunConfig& config, c
   }
   CRAFTFLEET_RETURN_IF_ERROR(canary.status());
   const absl::string_view known = KnownPolicyCanary(config.cpu());
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string float32_canary, PolicyCanary());
-  if (!known.empty() && float32_canary != known) {
-    LogWarning("with cpu: %s the canary of this machine is %s, want %s: other machines may compute different results",
-               v1::RunConfig::Cpu_Name(config.cpu()), float32_canary, known);
+  if (!known.empty()) {
+    CRAFTFLEET_ASSIGN_OR_RETURN(const std::string float32_canary, PolicyCanary());
+    if (float32_canary != known) {
+      LogWarning("with cpu: %s the canary of this machine is %s, want %s: other machines may compute different results",
+                 v1::RunConfig::Cpu_Name(config.cpu()), float32_canary, known);
+    }
   }
   return BuildCheck::Options{BuildId(), *canary, game_canary, allow_mixed};
 }

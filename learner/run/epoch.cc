@@ -83,7 +83,7 @@ absl::Status EpochFence::Check() const {
   if (!taken.ok()) {
     return absl::UnavailableError(
         absl::StrCat("cannot check whether this learner still owns its run folder: ", EpochPath(logdir_),
-                     " is damaged, want its two lines: \"", absl::CEscape(text_), "\""));
+                     " is damaged: put back its two lines, \"", absl::CEscape(text_), "\""));
   }
   return absl::AbortedError(absl::StrCat(
       "run folder ", logdir_, " was taken over by ", taken->by, " (epoch ", taken->epoch, ", this one is epoch ",
