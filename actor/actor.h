@@ -1,7 +1,6 @@
 // An actor: joins a learner and plays fragments until the run is over.
 
-#ifndef CRAFTFLEET_ACTOR_ACTOR_H_
-#define CRAFTFLEET_ACTOR_ACTOR_H_
+#pragma once
 
 #include <atomic>
 #include <functional>
@@ -118,5 +117,3 @@ class Actor {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ACTOR_ACTOR_H_

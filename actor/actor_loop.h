@@ -1,7 +1,6 @@
 // A playing thread: turns permits into fragments.
 
-#ifndef CRAFTFLEET_ACTOR_ACTOR_LOOP_H_
-#define CRAFTFLEET_ACTOR_ACTOR_LOOP_H_
+#pragma once
 
 #include <atomic>
 #include <cstdint>
@@ -143,5 +142,3 @@ class ActorLoop {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ACTOR_ACTOR_LOOP_H_

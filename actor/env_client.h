@@ -1,7 +1,6 @@
 // One session with one environment server, over its own connection.
 
-#ifndef CRAFTFLEET_ACTOR_ENV_CLIENT_H_
-#define CRAFTFLEET_ACTOR_ENV_CLIENT_H_
+#pragma once
 
 #include <memory>
 #include <string>
@@ -154,5 +153,3 @@ class EnvClient {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ACTOR_ENV_CLIENT_H_

@@ -1,7 +1,6 @@
 // The sessions with the environment servers of a directory.
 
-#ifndef CRAFTFLEET_ACTOR_ENV_CONNECTIONS_H_
-#define CRAFTFLEET_ACTOR_ENV_CONNECTIONS_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -110,5 +109,3 @@ class EnvConnections {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ACTOR_ENV_CONNECTIONS_H_

@@ -1,7 +1,6 @@
 // The list of currently known environment servers.
 
-#ifndef CRAFTFLEET_ACTOR_ENV_DIRECTORY_H_
-#define CRAFTFLEET_ACTOR_ENV_DIRECTORY_H_
+#pragma once
 
 #include <atomic>
 #include <cstdint>
@@ -73,5 +72,3 @@ class EnvDirectory {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ACTOR_ENV_DIRECTORY_H_

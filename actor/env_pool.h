@@ -1,7 +1,6 @@
 // The games of one loop, spread over environment servers.
 
-#ifndef CRAFTFLEET_ACTOR_ENV_POOL_H_
-#define CRAFTFLEET_ACTOR_ENV_POOL_H_
+#pragma once
 
 #include <cstddef>
 #include <map>
@@ -140,5 +139,3 @@ class EnvPool {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ACTOR_ENV_POOL_H_

@@ -1,7 +1,6 @@
 // The state of an actor's environment servers, for status pages.
 
-#ifndef CRAFTFLEET_ACTOR_ENV_SERVER_TRACKER_H_
-#define CRAFTFLEET_ACTOR_ENV_SERVER_TRACKER_H_
+#pragma once
 
 #include <cstddef>
 #include <map>
@@ -49,5 +48,3 @@ class EnvServerTracker {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ACTOR_ENV_SERVER_TRACKER_H_

@@ -1,7 +1,6 @@
 // An interface for observing episodes while they are played.
 
-#ifndef CRAFTFLEET_ACTOR_EPISODE_OBSERVER_H_
-#define CRAFTFLEET_ACTOR_EPISODE_OBSERVER_H_
+#pragma once
 
 #include <cstdint>
 
@@ -30,5 +29,3 @@ class EpisodeObserver {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ACTOR_EPISODE_OBSERVER_H_

@@ -1,7 +1,6 @@
 // The actor's reaction to each error of its calls, as one table.
 
-#ifndef CRAFTFLEET_ACTOR_ERROR_POLICY_H_
-#define CRAFTFLEET_ACTOR_ERROR_POLICY_H_
+#pragma once
 
 #include <absl/status/status.h>
 
@@ -33,5 +32,3 @@ Reaction ReactionTo(CallKind call, const absl::Status& error);
 bool IsTransient(CallKind call, const absl::Status& error);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ACTOR_ERROR_POLICY_H_

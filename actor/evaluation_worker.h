@@ -1,7 +1,6 @@
 // Plays the evaluation tasks that the learner assigns, on its own thread.
 
-#ifndef CRAFTFLEET_ACTOR_EVALUATION_WORKER_H_
-#define CRAFTFLEET_ACTOR_EVALUATION_WORKER_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -92,5 +91,3 @@ class EvaluationWorker {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ACTOR_EVALUATION_WORKER_H_

@@ -1,7 +1,6 @@
 // Plays whole episodes with a fixed policy.
 
-#ifndef CRAFTFLEET_ACTOR_EVALUATOR_H_
-#define CRAFTFLEET_ACTOR_EVALUATOR_H_
+#pragma once
 
 #include <atomic>
 #include <cstdint>
@@ -37,5 +36,3 @@ absl::StatusOr<std::vector<Episode>> Evaluate(const EvaluationOptions& options, 
                                               const std::atomic<bool>* stop = nullptr);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ACTOR_EVALUATOR_H_

@@ -1,7 +1,6 @@
 // Collects one lane's steps into a fragment.
 
-#ifndef CRAFTFLEET_ACTOR_FRAGMENT_BUILDER_H_
-#define CRAFTFLEET_ACTOR_FRAGMENT_BUILDER_H_
+#pragma once
 
 #include <cstdint>
 
@@ -39,5 +38,3 @@ class FragmentBuilder {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ACTOR_FRAGMENT_BUILDER_H_

@@ -1,7 +1,6 @@
 // Turns the frames of an environment server's replies into pixels, whatever their format.
 
-#ifndef CRAFTFLEET_ACTOR_FRAME_READER_H_
-#define CRAFTFLEET_ACTOR_FRAME_READER_H_
+#pragma once
 
 #include <cstdint>
 #include <map>
@@ -48,5 +47,3 @@ class FrameReader {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ACTOR_FRAME_READER_H_

@@ -1,7 +1,6 @@
 // Which lane is played on which environment server.
 
-#ifndef CRAFTFLEET_ACTOR_LANE_PLACEMENT_H_
-#define CRAFTFLEET_ACTOR_LANE_PLACEMENT_H_
+#pragma once
 
 #include <cstddef>
 #include <map>
@@ -62,5 +61,3 @@ class LanePlacement {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ACTOR_LANE_PLACEMENT_H_

@@ -1,7 +1,6 @@
 // Calls to the learner, each with a deadline. Errors name the learner's address.
 
-#ifndef CRAFTFLEET_ACTOR_LEARNER_CLIENT_H_
-#define CRAFTFLEET_ACTOR_LEARNER_CLIENT_H_
+#pragma once
 
 #include <cstdint>
 #include <memory>
@@ -81,5 +80,3 @@ class LearnerClient {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ACTOR_LEARNER_CLIENT_H_

@@ -1,7 +1,6 @@
 // Checks the replies of a learner: the ranges of all fields, in one place.
 
-#ifndef CRAFTFLEET_ACTOR_LEARNER_REPLIES_H_
-#define CRAFTFLEET_ACTOR_LEARNER_REPLIES_H_
+#pragma once
 
 #include <cstdint>
 
@@ -32,5 +31,3 @@ absl::Status CheckWeightsChunk(const v1::WeightsChunk& chunk, int64_t max_bytes,
 absl::StatusOr<LaneSnapshot> ReadSnapshot(v1::SnapshotReply* reply, int state_size);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ACTOR_LEARNER_REPLIES_H_

@@ -1,7 +1,6 @@
 // The actor's stream to the learner: requests for permits, and fragments until each has a verdict.
 
-#ifndef CRAFTFLEET_ACTOR_LEARNER_STREAM_H_
-#define CRAFTFLEET_ACTOR_LEARNER_STREAM_H_
+#pragma once
 
 #include <atomic>
 #include <cstddef>
@@ -94,5 +93,3 @@ class LearnerStream {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ACTOR_LEARNER_STREAM_H_

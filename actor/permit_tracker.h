@@ -1,7 +1,6 @@
 // The permits that an actor holds, shared by the thread that requests them and the loops that play.
 
-#ifndef CRAFTFLEET_ACTOR_PERMIT_TRACKER_H_
-#define CRAFTFLEET_ACTOR_PERMIT_TRACKER_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -80,5 +79,3 @@ class PermitTracker {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ACTOR_PERMIT_TRACKER_H_

@@ -1,7 +1,6 @@
 // Checks the replies of an environment server: the ranges of all fields of PlayReply, in one place.
 
-#ifndef CRAFTFLEET_ACTOR_PLAY_REPLY_H_
-#define CRAFTFLEET_ACTOR_PLAY_REPLY_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -70,5 +69,3 @@ class EpisodeLengths {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ACTOR_PLAY_REPLY_H_

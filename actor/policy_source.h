@@ -1,7 +1,6 @@
 // Fetches the policy of a given version when needed.
 
-#ifndef CRAFTFLEET_ACTOR_POLICY_SOURCE_H_
-#define CRAFTFLEET_ACTOR_POLICY_SOURCE_H_
+#pragma once
 
 #include <cstdint>
 #include <functional>
@@ -62,5 +61,3 @@ class PolicySource {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ACTOR_POLICY_SOURCE_H_

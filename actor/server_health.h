@@ -1,7 +1,6 @@
 // Knows which environment servers answer, and how fast; shared by all threads of an actor.
 
-#ifndef CRAFTFLEET_ACTOR_SERVER_HEALTH_H_
-#define CRAFTFLEET_ACTOR_SERVER_HEALTH_H_
+#pragma once
 
 #include <cstddef>
 #include <map>
@@ -127,5 +126,3 @@ class ServerHealth {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ACTOR_SERVER_HEALTH_H_

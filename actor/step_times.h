@@ -1,7 +1,6 @@
 // How long steps take on each environment server of an actor, and which servers are slow.
 
-#ifndef CRAFTFLEET_ACTOR_STEP_TIMES_H_
-#define CRAFTFLEET_ACTOR_STEP_TIMES_H_
+#pragma once
 
 #include <cstdint>
 #include <map>
@@ -52,5 +51,3 @@ class StepTimes {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ACTOR_STEP_TIMES_H_

@@ -1,7 +1,6 @@
 // Registers this environment server with a learner.
 
-#ifndef CRAFTFLEET_ENVSERVER_ANNOUNCER_H_
-#define CRAFTFLEET_ENVSERVER_ANNOUNCER_H_
+#pragma once
 
 #include <functional>
 #include <memory>
@@ -52,5 +51,3 @@ class Announcer {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ENVSERVER_ANNOUNCER_H_

@@ -1,7 +1,6 @@
 // A canary: a digest that differs between environment servers whose games differ.
 
-#ifndef CRAFTFLEET_ENVSERVER_CANARY_H_
-#define CRAFTFLEET_ENVSERVER_CANARY_H_
+#pragma once
 
 #include <string>
 
@@ -17,5 +16,3 @@ namespace craftfleet {
 absl::StatusOr<std::string> GameCanary(const Textures& textures);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ENVSERVER_CANARY_H_

@@ -1,7 +1,6 @@
 // The games of one session, by lane.
 
-#ifndef CRAFTFLEET_ENVSERVER_ENV_BATCH_H_
-#define CRAFTFLEET_ENVSERVER_ENV_BATCH_H_
+#pragma once
 
 #include <cstdint>
 #include <functional>
@@ -139,5 +138,3 @@ class EnvBatch {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ENVSERVER_ENV_BATCH_H_

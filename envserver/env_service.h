@@ -1,8 +1,7 @@
 // The gRPC service of an environment server. Sessions have no thread each, since most of them wait for their client
 // most of the time: gRPC calls them back on a few threads of its own, and others, two for each core, play all games.
 
-#ifndef CRAFTFLEET_ENVSERVER_ENV_SERVICE_H_
-#define CRAFTFLEET_ENVSERVER_ENV_SERVICE_H_
+#pragma once
 
 #include <atomic>
 #include <cstdint>
@@ -159,5 +158,3 @@ class EnvServiceImpl final : public v1::EnvironmentService::CallbackService {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ENVSERVER_ENV_SERVICE_H_

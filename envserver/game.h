@@ -1,7 +1,6 @@
 // One game of Crafter as an agent sees it: a world and its pictures.
 
-#ifndef CRAFTFLEET_ENVSERVER_GAME_H_
-#define CRAFTFLEET_ENVSERVER_GAME_H_
+#pragma once
 
 #include <cstdint>
 #include <functional>
@@ -96,5 +95,3 @@ class Game {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ENVSERVER_GAME_H_

@@ -1,7 +1,6 @@
 // Limits the games and their memory, per session, per client and for all sessions of an environment server.
 
-#ifndef CRAFTFLEET_ENVSERVER_GAME_BUDGET_H_
-#define CRAFTFLEET_ENVSERVER_GAME_BUDGET_H_
+#pragma once
 
 #include <cstdint>
 #include <functional>
@@ -95,5 +94,3 @@ inline constexpr int64_t kUsualObjects = 256;
 int64_t SessionBytes(int64_t games, int64_t more_objects, int64_t frame_bytes, bool records, int64_t picture_bytes);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ENVSERVER_GAME_BUDGET_H_

@@ -1,7 +1,6 @@
 // The threads that play the games of all sessions.
 
-#ifndef CRAFTFLEET_ENVSERVER_GAME_THREADS_H_
-#define CRAFTFLEET_ENVSERVER_GAME_THREADS_H_
+#pragma once
 
 #include <atomic>
 #include <cstddef>
@@ -51,5 +50,3 @@ class GameThreads {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ENVSERVER_GAME_THREADS_H_

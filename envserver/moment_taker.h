@@ -1,7 +1,6 @@
 // Captures the state of a game at one moment, for videos and episode files.
 
-#ifndef CRAFTFLEET_ENVSERVER_MOMENT_TAKER_H_
-#define CRAFTFLEET_ENVSERVER_MOMENT_TAKER_H_
+#pragma once
 
 #include <cstdint>
 #include <memory>
@@ -32,5 +31,3 @@ class MomentTaker {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ENVSERVER_MOMENT_TAKER_H_

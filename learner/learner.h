@@ -1,7 +1,6 @@
 // The learner process: combines run folder, trainer and gRPC server.
 
-#ifndef CRAFTFLEET_LEARNER_LEARNER_H_
-#define CRAFTFLEET_LEARNER_LEARNER_H_
+#pragma once
 
 #include <functional>
 #include <memory>
@@ -116,5 +115,3 @@ class Learner {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_LEARNER_H_

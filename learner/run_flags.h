@@ -1,7 +1,6 @@
 // Flags of a training run, shared by craftfleet-learner and craftfleet train.
 
-#ifndef CRAFTFLEET_LEARNER_RUN_FLAGS_H_
-#define CRAFTFLEET_LEARNER_RUN_FLAGS_H_
+#pragma once
 
 #include <absl/status/status.h>
 #include <absl/status/statusor.h>
@@ -39,5 +38,3 @@ absl::Status CheckRankDevice();
 absl::Status CheckSameAsFlags(const v1::RunConfig& config);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_RUN_FLAGS_H_

@@ -1,7 +1,6 @@
 // Log messages of craftfleet-learner and craftfleet train at the start and end of a run.
 
-#ifndef CRAFTFLEET_LEARNER_RUN_MESSAGES_H_
-#define CRAFTFLEET_LEARNER_RUN_MESSAGES_H_
+#pragma once
 
 #include <string>
 
@@ -20,5 +19,3 @@ absl::Status LogRunStart(const Learner& learner, const std::string& logdir);
 void LogRunEnd(const Learner& learner);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_RUN_MESSAGES_H_

@@ -1,7 +1,6 @@
 // Checks that a configuration can run, before the learner allocates or writes anything.
 
-#ifndef CRAFTFLEET_LEARNER_RUNNABLE_CONFIG_H_
-#define CRAFTFLEET_LEARNER_RUNNABLE_CONFIG_H_
+#pragma once
 
 #include <cstdint>
 
@@ -42,5 +41,3 @@ int64_t OwnMemoryBytes();
 absl::Status CheckRunnable(const v1::RunConfig& config, const AgentSpec& spec, const LearnerMachine& machine);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_RUNNABLE_CONFIG_H_

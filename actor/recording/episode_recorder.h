@@ -1,7 +1,6 @@
 // Records the episodes of an evaluation as videos, pictures and NumPy files.
 
-#ifndef CRAFTFLEET_ACTOR_RECORDING_EPISODE_RECORDER_H_
-#define CRAFTFLEET_ACTOR_RECORDING_EPISODE_RECORDER_H_
+#pragma once
 
 #include <cstdint>
 #include <functional>
@@ -87,5 +86,3 @@ class EpisodeRecorder : public EpisodeObserver {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ACTOR_RECORDING_EPISODE_RECORDER_H_

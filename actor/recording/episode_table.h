@@ -1,7 +1,6 @@
 // One episode as rows, for a NumPy file in the format of Crafter's own episode recorder.
 
-#ifndef CRAFTFLEET_ACTOR_RECORDING_EPISODE_TABLE_H_
-#define CRAFTFLEET_ACTOR_RECORDING_EPISODE_TABLE_H_
+#pragma once
 
 #include <array>
 #include <cstdint>
@@ -47,5 +46,3 @@ class EpisodeTable {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ACTOR_RECORDING_EPISODE_TABLE_H_

@@ -1,7 +1,6 @@
 // NumPy's file formats: named arrays (npy) in a compressed zip file (npz), as numpy.savez_compressed writes them.
 
-#ifndef CRAFTFLEET_ACTOR_RECORDING_NPZ_H_
-#define CRAFTFLEET_ACTOR_RECORDING_NPZ_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -27,5 +26,3 @@ std::string EncodeNpy(const NpyArray& array);
 absl::Status WriteNpz(const std::string& path, absl::Span<const NpyArray> arrays);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ACTOR_RECORDING_NPZ_H_

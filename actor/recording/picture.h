@@ -1,7 +1,6 @@
 // The pictures of a recording, as RGB bytes, and the attention drawn over them.
 
-#ifndef CRAFTFLEET_ACTOR_RECORDING_PICTURE_H_
-#define CRAFTFLEET_ACTOR_RECORDING_PICTURE_H_
+#pragma once
 
 #include <string>
 #include <vector>
@@ -50,5 +49,3 @@ cv::Mat ToBgr(absl::string_view picture, int width, int height);
 absl::Status WritePng(const std::string& path, absl::string_view picture, int width, int height);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ACTOR_RECORDING_PICTURE_H_

@@ -1,7 +1,6 @@
 // A video file that is written picture by picture.
 
-#ifndef CRAFTFLEET_ACTOR_RECORDING_VIDEO_FILE_H_
-#define CRAFTFLEET_ACTOR_RECORDING_VIDEO_FILE_H_
+#pragma once
 
 #include <cstdint>
 #include <memory>
@@ -48,5 +47,3 @@ class VideoFile {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ACTOR_RECORDING_VIDEO_FILE_H_

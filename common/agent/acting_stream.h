@@ -1,7 +1,6 @@
 // The stream on which policies compute beside updates. Includes LibTorch's streams, but no header of CUDA.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_ACTING_STREAM_H_
-#define CRAFTFLEET_COMMON_AGENT_ACTING_STREAM_H_
+#pragma once
 
 #include <c10/core/Device.h>
 #include <c10/core/Stream.h>
@@ -16,5 +15,3 @@ c10::Stream ActingStream(at::Device device);
 c10::Stream CurrentStream(at::Device device);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_ACTING_STREAM_H_

@@ -1,7 +1,6 @@
 // The agents by name: their frames and parameters (AGENTS.md). Does not include LibTorch.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_AGENT_SPEC_H_
-#define CRAFTFLEET_COMMON_AGENT_AGENT_SPEC_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -40,5 +39,3 @@ bool KeepsEveryState(const AgentSpec& spec, const v1::PpoConfig& ppo);
 absl::StatusOr<AgentSpec> FindAgent(absl::string_view name);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_AGENT_SPEC_H_

@@ -1,7 +1,6 @@
 // The order of an agent's weights in a device's memory.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_ALIGNED_WEIGHTS_H_
-#define CRAFTFLEET_COMMON_AGENT_ALIGNED_WEIGHTS_H_
+#pragma once
 
 #include <cstdint>
 #include <vector>
@@ -25,5 +24,3 @@ std::vector<float> Align(const AgentSpec& spec, absl::Span<const float> values);
 void Unalign(const AgentSpec& spec, const float* aligned, std::vector<float>* values);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_ALIGNED_WEIGHTS_H_

@@ -1,7 +1,6 @@
 // The attention of an agent to the patches of a frame, and how it is shown. Does not include LibTorch.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_ATTENTION_MAP_H_
-#define CRAFTFLEET_COMMON_AGENT_ATTENTION_MAP_H_
+#pragma once
 
 #include <string>
 #include <vector>
@@ -52,5 +51,3 @@ std::vector<float> SpreadOverPixels(const PatchGrid& grid, absl::Span<const floa
 float LightToHighest(std::vector<float>* weights);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_ATTENTION_MAP_H_

@@ -1,7 +1,6 @@
 // A canary: tells whether the networks of two processes compute the same bits. Does not include LibTorch.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_CANARY_H_
-#define CRAFTFLEET_COMMON_AGENT_CANARY_H_
+#pragma once
 
 #include <string>
 
@@ -26,5 +25,3 @@ absl::StatusOr<std::string> PolicyCanary(const v1::RunConfig& run = {});
 absl::string_view KnownPolicyCanary(v1::RunConfig::Cpu cpu);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_CANARY_H_

@@ -1,7 +1,6 @@
 // The categorical distribution over the 17 actions that a row of logits defines.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_CATEGORICAL_H_
-#define CRAFTFLEET_COMMON_AGENT_CATEGORICAL_H_
+#pragma once
 
 #include <array>
 
@@ -25,5 +24,3 @@ struct Categorical {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_CATEGORICAL_H_

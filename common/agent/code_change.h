@@ -1,7 +1,6 @@
 // How the features of a frame change at an achievement.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_CODE_CHANGE_H_
-#define CRAFTFLEET_COMMON_AGENT_CODE_CHANGE_H_
+#pragma once
 
 #include <absl/types/span.h>
 
@@ -12,5 +11,3 @@ namespace craftfleet {
 void CodeChange(absl::Span<const float> before, absl::Span<const float> after, absl::Span<float> change);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_CODE_CHANGE_H_

@@ -1,7 +1,6 @@
 // The device that computes: the CPU or a GPU. Does not include LibTorch.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_DEVICE_H_
-#define CRAFTFLEET_COMMON_AGENT_DEVICE_H_
+#pragma once
 
 #include <string>
 
@@ -61,5 +60,3 @@ absl::Status DistillingDeviceError(absl::string_view task, absl::string_view wha
 absl::Status ActingDeviceError(absl::string_view task, absl::string_view what);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_DEVICE_H_

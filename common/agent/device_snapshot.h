@@ -1,7 +1,6 @@
 // A version of an agent's weights in a device's memory. Includes LibTorch's tensors.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_DEVICE_SNAPSHOT_H_
-#define CRAFTFLEET_COMMON_AGENT_DEVICE_SNAPSHOT_H_
+#pragma once
 
 #include <memory>
 #include <optional>
@@ -45,5 +44,3 @@ class DeviceSnapshot final : public PolicyWeights {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_DEVICE_SNAPSHOT_H_

@@ -1,7 +1,6 @@
 // The initial weights of a run.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_INITIAL_WEIGHTS_H_
-#define CRAFTFLEET_COMMON_AGENT_INITIAL_WEIGHTS_H_
+#pragma once
 
 #include <cstdint>
 #include <vector>
@@ -26,5 +25,3 @@ namespace craftfleet {
 std::vector<float> InitialWeights(const AgentSpec& spec, uint64_t seed, WorkerPool* workers = nullptr);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_INITIAL_WEIGHTS_H_

@@ -1,7 +1,6 @@
 // A linear layer with autograd, multiplied by oneDNN instead of the BLAS.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_LINEAR_H_
-#define CRAFTFLEET_COMMON_AGENT_LINEAR_H_
+#pragma once
 
 #include <ATen/core/Tensor.h>
 
@@ -27,5 +26,3 @@ at::Tensor LinearOutput(const at::Tensor& rows, const at::Tensor& weight, const 
 bool LinearUsesOneDnn();
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_LINEAR_H_

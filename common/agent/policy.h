@@ -1,7 +1,6 @@
 // A policy: one version of an agent's weights, which chooses actions for frames. Does not include LibTorch.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_POLICY_H_
-#define CRAFTFLEET_COMMON_AGENT_POLICY_H_
+#pragma once
 
 #include <cstdint>
 #include <memory>
@@ -143,5 +142,3 @@ class Policy {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_POLICY_H_

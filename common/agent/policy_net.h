@@ -1,8 +1,7 @@
 // The network of an agent with its weights, on LibTorch. Includes LibTorch's tensors; acting goes through
 // common/agent/policy.h.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_POLICY_NET_H_
-#define CRAFTFLEET_COMMON_AGENT_POLICY_NET_H_
+#pragma once
 
 #include <cstdint>
 #include <map>
@@ -94,5 +93,3 @@ void ScaleFrames(absl::Span<const uint8_t* const> frames, int64_t frame_bytes, f
 at::Tensor ScaleFrames(const at::Tensor& frames);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_POLICY_NET_H_

@@ -1,7 +1,6 @@
 // One version of an agent's weights, in whichever memory it is. Does not include LibTorch.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_POLICY_WEIGHTS_H_
-#define CRAFTFLEET_COMMON_AGENT_POLICY_WEIGHTS_H_
+#pragma once
 
 #include <memory>
 #include <string>
@@ -39,5 +38,3 @@ class HostWeights final : public PolicyWeights {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_POLICY_WEIGHTS_H_

@@ -1,8 +1,7 @@
 // Large arrays of floats that are taken and given back often, such as what a layer keeps between its forward and its
 // backward pass. New memory would cost a page fault every 4 KiB each time.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_POOLED_BUFFER_H_
-#define CRAFTFLEET_COMMON_AGENT_POOLED_BUFFER_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -32,5 +31,3 @@ class PooledBuffer {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_POOLED_BUFFER_H_

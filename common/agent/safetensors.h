@@ -2,8 +2,7 @@
 // package. u64 little-endian header length, JSON header {name: {dtype, shape, data_offsets}, "__metadata__": {text:
 // text}}, data.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_SAFETENSORS_H_
-#define CRAFTFLEET_COMMON_AGENT_SAFETENSORS_H_
+#pragma once
 
 #include <cstdint>
 #include <map>
@@ -39,5 +38,3 @@ std::string WriteSafetensors(const SafeTensors& file);
 absl::StatusOr<SafeTensors> ReadSafetensors(absl::string_view bytes);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_SAFETENSORS_H_

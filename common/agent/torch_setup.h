@@ -1,7 +1,6 @@
 // LibTorch's settings for this process and its threads, and warnings about the machine.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_TORCH_SETUP_H_
-#define CRAFTFLEET_COMMON_AGENT_TORCH_SETUP_H_
+#pragma once
 
 #include <string>
 
@@ -21,5 +20,3 @@ std::string SlowMathWarning();
 std::string CpuDescription();
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_TORCH_SETUP_H_

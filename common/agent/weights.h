@@ -1,7 +1,6 @@
 // An agent's weights <-> bytes (safetensors).
 
-#ifndef CRAFTFLEET_COMMON_AGENT_WEIGHTS_H_
-#define CRAFTFLEET_COMMON_AGENT_WEIGHTS_H_
+#pragma once
 
 #include <cstdint>
 #include <map>
@@ -43,5 +42,3 @@ absl::StatusOr<std::shared_ptr<const float>> ShareWeights(const AgentSpec& spec,
                                                           std::shared_ptr<const std::string> bytes);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_WEIGHTS_H_

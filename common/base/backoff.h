@@ -1,7 +1,6 @@
 // Pauses between attempts: exponential backoff with jitter.
 
-#ifndef CRAFTFLEET_COMMON_BASE_BACKOFF_H_
-#define CRAFTFLEET_COMMON_BASE_BACKOFF_H_
+#pragma once
 
 #include <algorithm>
 #include <random>
@@ -33,5 +32,3 @@ class Backoff {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_BASE_BACKOFF_H_

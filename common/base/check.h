@@ -1,7 +1,6 @@
 // Checks of invariants: a failure is a bug in this program, never bad input.
 
-#ifndef CRAFTFLEET_COMMON_BASE_CHECK_H_
-#define CRAFTFLEET_COMMON_BASE_CHECK_H_
+#pragma once
 
 #include <cstdio>
 #include <cstdlib>
@@ -14,5 +13,3 @@
       std::abort();                                                                          \
     }                                                                                        \
   } while (false)
-
-#endif  // CRAFTFLEET_COMMON_BASE_CHECK_H_

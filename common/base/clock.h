@@ -1,7 +1,6 @@
 // Time as a parameter, so that tests do not have to wait.
 
-#ifndef CRAFTFLEET_COMMON_BASE_CLOCK_H_
-#define CRAFTFLEET_COMMON_BASE_CLOCK_H_
+#pragma once
 
 #include <chrono>
 
@@ -33,5 +32,3 @@ class RealClock : public Clock {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_BASE_CLOCK_H_

@@ -1,7 +1,6 @@
 // A bounded queue between threads that can be closed.
 
-#ifndef CRAFTFLEET_COMMON_BASE_CLOSABLE_QUEUE_H_
-#define CRAFTFLEET_COMMON_BASE_CLOSABLE_QUEUE_H_
+#pragma once
 
 #include <cstddef>
 #include <deque>
@@ -63,5 +62,3 @@ class ClosableQueue {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_BASE_CLOSABLE_QUEUE_H_

@@ -6,8 +6,7 @@
 //     CRAFTFLEET_KERNEL_BODY void DoubleLoop(int count, float* values) { ... }
 //     CRAFTFLEET_KERNEL(Double, DoubleLoop)  // defines Double(), with the same parameters
 
-#ifndef CRAFTFLEET_COMMON_BASE_CPU_PATH_H_
-#define CRAFTFLEET_COMMON_BASE_CPU_PATH_H_
+#pragma once
 
 #include <atomic>
 
@@ -96,5 +95,3 @@ class ScopedCpuPath {
 #endif
 
 #define CRAFTFLEET_KERNEL(name, body) CRAFTFLEET_WIDE_KERNEL(name, body, body)
-
-#endif  // CRAFTFLEET_COMMON_BASE_CPU_PATH_H_

@@ -1,8 +1,7 @@
 // Crafter's vocabulary: actions, items and achievements with their names, in Crafter's order. Shared by every process.
 // Source: envserver/world/RULES.md, section 1.
 
-#ifndef CRAFTFLEET_COMMON_BASE_CRAFTER_H_
-#define CRAFTFLEET_COMMON_BASE_CRAFTER_H_
+#pragma once
 
 #include <algorithm>
 #include <array>
@@ -139,5 +138,3 @@ inline constexpr std::array<absl::string_view, kNumAchievements> kAchievementNam
     "place_table",      "wake_up"};
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_BASE_CRAFTER_H_

@@ -1,8 +1,7 @@
 // CRC-32C (Castagnoli), the checksum of checkpoints and of TensorBoard's event files.
 // Source: RFC 3720, section 12.1; test vectors in its appendix B.4.
 
-#ifndef CRAFTFLEET_COMMON_BASE_CRC32C_H_
-#define CRAFTFLEET_COMMON_BASE_CRC32C_H_
+#pragma once
 
 #include <cstdint>
 
@@ -13,5 +12,3 @@ namespace craftfleet {
 uint32_t Crc32c(absl::string_view bytes);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_BASE_CRC32C_H_

@@ -1,7 +1,6 @@
 // Functions of libraries that a program may have been linked with.
 
-#ifndef CRAFTFLEET_COMMON_BASE_FIND_SYMBOL_H_
-#define CRAFTFLEET_COMMON_BASE_FIND_SYMBOL_H_
+#pragma once
 
 #include <dlfcn.h>
 
@@ -16,5 +15,3 @@ Function* FindSymbol(const char* name) {
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_BASE_FIND_SYMBOL_H_

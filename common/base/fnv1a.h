@@ -1,7 +1,6 @@
 // 64-bit FNV-1a: detects accidental differences, not deliberate ones.
 
-#ifndef CRAFTFLEET_COMMON_BASE_FNV1A_H_
-#define CRAFTFLEET_COMMON_BASE_FNV1A_H_
+#pragma once
 
 #include <cstdint>
 
@@ -26,5 +25,3 @@ inline uint64_t Fnv1aWord(uint64_t hash, uint64_t word) {
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_BASE_FNV1A_H_

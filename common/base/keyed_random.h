@@ -1,8 +1,7 @@
 // Counter-based random numbers: each is a function of its key alone, so that every process that computes it, in any
 // order, gets the same.
 
-#ifndef CRAFTFLEET_COMMON_BASE_KEYED_RANDOM_H_
-#define CRAFTFLEET_COMMON_BASE_KEYED_RANDOM_H_
+#pragma once
 
 #include <cstdint>
 #include <initializer_list>
@@ -45,5 +44,3 @@ constexpr double ActionNoise(uint64_t run_seed, int lane, int64_t lane_step) {
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_BASE_KEYED_RANDOM_H_

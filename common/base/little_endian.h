@@ -1,7 +1,6 @@
 // Numbers as bytes, the least significant first, on any CPU.
 
-#ifndef CRAFTFLEET_COMMON_BASE_LITTLE_ENDIAN_H_
-#define CRAFTFLEET_COMMON_BASE_LITTLE_ENDIAN_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -31,5 +30,3 @@ T FromLittleEndian(absl::string_view bytes) {
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_BASE_LITTLE_ENDIAN_H_

@@ -5,8 +5,7 @@
 // A run's `cpu` pins the instruction set of LibTorch and its libraries (common/process/cpu_pin.h); these loops need no
 // pin, because their results do not depend on the selected version.
 
-#ifndef CRAFTFLEET_COMMON_BASE_MULTIVERSION_H_
-#define CRAFTFLEET_COMMON_BASE_MULTIVERSION_H_
+#pragma once
 
 #if defined(__has_feature)
 #if __has_feature(address_sanitizer) || __has_feature(thread_sanitizer) || __has_feature(memory_sanitizer)
@@ -22,5 +21,3 @@
 #else
 #define CRAFTFLEET_MULTIVERSION
 #endif
-
-#endif  // CRAFTFLEET_COMMON_BASE_MULTIVERSION_H_

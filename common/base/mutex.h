@@ -1,8 +1,7 @@
 // A mutex, its lock and a condition variable: std's types with Abseil's thread annotations. ThreadSanitizer understands
 // std's types, but not the packaged absl::Mutex.
 
-#ifndef CRAFTFLEET_COMMON_BASE_MUTEX_H_
-#define CRAFTFLEET_COMMON_BASE_MUTEX_H_
+#pragma once
 
 #include <algorithm>
 #include <chrono>
@@ -63,5 +62,3 @@ class CondVar {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_BASE_MUTEX_H_

@@ -1,7 +1,6 @@
 // Asks the system for threads before a library that needs them does.
 
-#ifndef CRAFTFLEET_COMMON_BASE_NEED_THREADS_H_
-#define CRAFTFLEET_COMMON_BASE_NEED_THREADS_H_
+#pragma once
 
 #include <mutex>
 #include <thread>
@@ -31,5 +30,3 @@ inline void NeedThreads(unsigned count) {
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_BASE_NEED_THREADS_H_

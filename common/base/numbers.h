@@ -1,7 +1,6 @@
 // Numbers as text.
 
-#ifndef CRAFTFLEET_COMMON_BASE_NUMBERS_H_
-#define CRAFTFLEET_COMMON_BASE_NUMBERS_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -15,5 +14,3 @@ std::string ExactNumber(double value);
 std::string WithCommas(int64_t value);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_BASE_NUMBERS_H_

@@ -1,7 +1,6 @@
 // Addresses of hosts as numbers, and as getaddrinfo takes them.
 
-#ifndef CRAFTFLEET_COMMON_BASE_NUMERIC_HOST_H_
-#define CRAFTFLEET_COMMON_BASE_NUMERIC_HOST_H_
+#pragma once
 
 #include <netdb.h>
 #include <netinet/in.h>
@@ -28,5 +27,3 @@ inline std::string WithoutBrackets(absl::string_view host) {
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_BASE_NUMERIC_HOST_H_

@@ -1,7 +1,6 @@
 // Undoes the binding of threads to cores that OpenMP is asked for with OMP_PROC_BIND, OMP_PLACES or GOMP_CPU_AFFINITY.
 
-#ifndef CRAFTFLEET_COMMON_BASE_OPENMP_PLACES_H_
-#define CRAFTFLEET_COMMON_BASE_OPENMP_PLACES_H_
+#pragma once
 
 #include <sched.h>
 
@@ -31,5 +30,3 @@ inline void UseAllOpenMpPlaces() {
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_BASE_OPENMP_PLACES_H_

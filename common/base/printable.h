@@ -1,7 +1,6 @@
 // Text that is safe on any terminal and in any log.
 
-#ifndef CRAFTFLEET_COMMON_BASE_PRINTABLE_H_
-#define CRAFTFLEET_COMMON_BASE_PRINTABLE_H_
+#pragma once
 
 #include <string>
 
@@ -20,5 +19,3 @@ inline std::string Printable(absl::string_view text) {
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_BASE_PRINTABLE_H_

@@ -1,7 +1,6 @@
 // Checks of a configuration's values, with messages that name the field.
 
-#ifndef CRAFTFLEET_COMMON_BASE_RANGE_CHECK_H_
-#define CRAFTFLEET_COMMON_BASE_RANGE_CHECK_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -46,5 +45,3 @@ class RangeCheck {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_BASE_RANGE_CHECK_H_

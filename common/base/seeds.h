@@ -1,7 +1,6 @@
 // Seeds of a run's games, each derived from the run's seed and the lane's number alone; numbers of evaluation episodes.
 
-#ifndef CRAFTFLEET_COMMON_BASE_SEEDS_H_
-#define CRAFTFLEET_COMMON_BASE_SEEDS_H_
+#pragma once
 
 #include <cstdint>
 
@@ -25,5 +24,3 @@ inline constexpr int64_t kLastEvaluationEpisode = 0x7FFFFFFF;
 inline constexpr int kMaxEvaluationEpisodes = 10'000;  // of each kind in one evaluation: they fit one message
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_BASE_SEEDS_H_

@@ -1,7 +1,6 @@
 // Early return on a failed absl::Status or absl::StatusOr.
 
-#ifndef CRAFTFLEET_COMMON_BASE_STATUS_MACROS_H_
-#define CRAFTFLEET_COMMON_BASE_STATUS_MACROS_H_
+#pragma once
 
 #include <utility>
 
@@ -26,5 +25,3 @@
   if (!result.ok()) return std::move(result).status();       \
   lhs = *std::move(result)
 // NOLINTEND(bugprone-macro-parentheses)
-
-#endif  // CRAFTFLEET_COMMON_BASE_STATUS_MACROS_H_

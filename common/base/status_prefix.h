@@ -1,7 +1,6 @@
 // Says what an error is about.
 
-#ifndef CRAFTFLEET_COMMON_BASE_STATUS_PREFIX_H_
-#define CRAFTFLEET_COMMON_BASE_STATUS_PREFIX_H_
+#pragma once
 
 #include <utility>
 
@@ -24,5 +23,3 @@ absl::StatusOr<T> WithPrefix(absl::string_view what, absl::StatusOr<T> result) {
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_BASE_STATUS_PREFIX_H_

@@ -1,7 +1,6 @@
 // Which threads the signals that stop a program may interrupt.
 
-#ifndef CRAFTFLEET_COMMON_BASE_STOP_SIGNALS_H_
-#define CRAFTFLEET_COMMON_BASE_STOP_SIGNALS_H_
+#pragma once
 
 #include <csignal>
 #include <initializer_list>
@@ -29,5 +28,3 @@ inline sigset_t MaskStopSignals(int how) {
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_BASE_STOP_SIGNALS_H_

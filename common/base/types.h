@@ -1,7 +1,6 @@
 // The plain structs that carry steps, episodes and fragments from the game to the loss.
 
-#ifndef CRAFTFLEET_COMMON_BASE_TYPES_H_
-#define CRAFTFLEET_COMMON_BASE_TYPES_H_
+#pragma once
 
 #include <array>
 #include <cstdint>
@@ -112,5 +111,3 @@ struct Fragment {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_BASE_TYPES_H_

@@ -1,7 +1,6 @@
 // Calls that wait for a change without a thread each.
 
-#ifndef CRAFTFLEET_COMMON_BASE_WAITING_CALLS_H_
-#define CRAFTFLEET_COMMON_BASE_WAITING_CALLS_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -72,5 +71,3 @@ class WaitingCalls {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_BASE_WAITING_CALLS_H_

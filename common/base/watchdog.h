@@ -1,7 +1,6 @@
 // Deadlines for operations: a callback for each one that takes too long.
 
-#ifndef CRAFTFLEET_COMMON_BASE_WATCHDOG_H_
-#define CRAFTFLEET_COMMON_BASE_WATCHDOG_H_
+#pragma once
 
 #include <chrono>
 #include <cstdint>
@@ -76,5 +75,3 @@ class Watchdog {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_BASE_WATCHDOG_H_

@@ -1,7 +1,6 @@
 // A fixed set of threads that work on the parts of one job.
 
-#ifndef CRAFTFLEET_COMMON_BASE_WORKER_POOL_H_
-#define CRAFTFLEET_COMMON_BASE_WORKER_POOL_H_
+#pragma once
 
 #include <functional>
 #include <thread>
@@ -44,5 +43,3 @@ class WorkerPool {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_BASE_WORKER_POOL_H_

@@ -1,7 +1,6 @@
 // The agents by name. A preset is a configuration with only the fields that the agent sets itself.
 
-#ifndef CRAFTFLEET_COMMON_CONFIG_AGENT_PRESETS_H_
-#define CRAFTFLEET_COMMON_CONFIG_AGENT_PRESETS_H_
+#pragma once
 
 #include <vector>
 
@@ -27,5 +26,3 @@ absl::StatusOr<v1::RunConfig> AgentPreset(absl::string_view agent);
 absl::StatusOr<v1::NetworkConfig> ResolveNetwork(const v1::RunConfig& config);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_CONFIG_AGENT_PRESETS_H_

@@ -1,7 +1,6 @@
 // A run's configuration: defaults, reading, checking and writing of RunConfig (proto/craftfleet/v1/config.proto).
 
-#ifndef CRAFTFLEET_COMMON_CONFIG_CONFIG_H_
-#define CRAFTFLEET_COMMON_CONFIG_CONFIG_H_
+#pragma once
 
 #include <string>
 
@@ -49,5 +48,3 @@ absl::Status ValidateRunConfig(const v1::RunConfig& config);
 std::string FormatRunConfig(const v1::RunConfig& config);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_CONFIG_CONFIG_H_

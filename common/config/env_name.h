@@ -1,8 +1,7 @@
 // The name of an environment: `crafter`, or `crafter:` and options joined by commas, such as
 // `crafter:appearance=25/25/25/25,numbers=easy-x2,inventory=off`.
 
-#ifndef CRAFTFLEET_COMMON_CONFIG_ENV_NAME_H_
-#define CRAFTFLEET_COMMON_CONFIG_ENV_NAME_H_
+#pragma once
 
 #include <array>
 #include <string>
@@ -31,5 +30,3 @@ struct EnvName {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_CONFIG_ENV_NAME_H_

@@ -1,7 +1,6 @@
 // The expected canary of environment servers (envserver/canary.h), for programs without the game.
 
-#ifndef CRAFTFLEET_COMMON_CONFIG_KNOWN_CANARY_H_
-#define CRAFTFLEET_COMMON_CONFIG_KNOWN_CANARY_H_
+#pragma once
 
 #include <absl/strings/string_view.h>
 
@@ -18,5 +17,3 @@ inline absl::string_view KnownGameCanary(absl::string_view digest) {
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_CONFIG_KNOWN_CANARY_H_

@@ -1,7 +1,6 @@
 // Reads files in protobuf's text format, with errors that a person can act on.
 
-#ifndef CRAFTFLEET_COMMON_CONFIG_TEXT_FORMAT_H_
-#define CRAFTFLEET_COMMON_CONFIG_TEXT_FORMAT_H_
+#pragma once
 
 #include <absl/status/status.h>
 #include <absl/strings/string_view.h>
@@ -14,5 +13,3 @@ namespace craftfleet {
 absl::Status ParseTextFormat(absl::string_view text, absl::string_view filename, google::protobuf::Message* message);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_CONFIG_TEXT_FORMAT_H_

@@ -2,8 +2,7 @@
 // Codes: NotFound (no such file), ResourceExhausted (disk, quota or file size limit full), PermissionDenied, others as
 // absl::ErrnoToStatus maps them.
 
-#ifndef CRAFTFLEET_COMMON_IO_FILES_H_
-#define CRAFTFLEET_COMMON_IO_FILES_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -61,5 +60,3 @@ absl::Status RemoveAll(const std::string& path);
 absl::StatusOr<std::vector<std::string>> ListFolder(const std::string& folder);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_IO_FILES_H_

@@ -1,7 +1,6 @@
 // The output file that a user names with a flag such as --out or --json.
 
-#ifndef CRAFTFLEET_COMMON_IO_OUTPUT_FILE_H_
-#define CRAFTFLEET_COMMON_IO_OUTPUT_FILE_H_
+#pragma once
 
 #include <string>
 
@@ -44,5 +43,3 @@ class OutputFile {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_IO_OUTPUT_FILE_H_

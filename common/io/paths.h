@@ -1,7 +1,6 @@
 // Paths of this project's installed files.
 
-#ifndef CRAFTFLEET_COMMON_IO_PATHS_H_
-#define CRAFTFLEET_COMMON_IO_PATHS_H_
+#pragma once
 
 #include <string>
 
@@ -20,5 +19,3 @@ absl::StatusOr<std::string> DefaultTextureDir();
 absl::StatusOr<std::string> TextureDir(const std::string& folder);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_IO_PATHS_H_

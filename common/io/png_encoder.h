@@ -1,7 +1,6 @@
 // Pictures as PNG files, by libpng alone: OpenCV's codecs would bring a hundred libraries with them.
 
-#ifndef CRAFTFLEET_COMMON_IO_PNG_ENCODER_H_
-#define CRAFTFLEET_COMMON_IO_PNG_ENCODER_H_
+#pragma once
 
 #include <string>
 
@@ -17,5 +16,3 @@ namespace craftfleet {
 absl::StatusOr<std::string> EncodePng(absl::string_view pixels, int width, int height);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_IO_PNG_ENCODER_H_

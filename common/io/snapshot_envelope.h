@@ -1,8 +1,7 @@
 // The envelope around a game's snapshot. It lets programs without the game check that a snapshot is complete, within
 // the size limit and of the right environment.
 
-#ifndef CRAFTFLEET_COMMON_IO_SNAPSHOT_ENVELOPE_H_
-#define CRAFTFLEET_COMMON_IO_SNAPSHOT_ENVELOPE_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -36,5 +35,3 @@ absl::StatusOr<absl::string_view> OpenSnapshot(uint64_t env_digest, absl::string
 absl::Status CheckSnapshot(uint64_t env_digest, absl::string_view sealed);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_IO_SNAPSHOT_ENVELOPE_H_

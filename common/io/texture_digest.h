@@ -1,7 +1,6 @@
 // A digest of a set of textures, computed without decoding them. Two processes with equal digests draw the same.
 
-#ifndef CRAFTFLEET_COMMON_IO_TEXTURE_DIGEST_H_
-#define CRAFTFLEET_COMMON_IO_TEXTURE_DIGEST_H_
+#pragma once
 
 #include <string>
 
@@ -29,5 +28,3 @@ absl::StatusOr<std::string> TextureDigest(const std::string& folder);
 absl::Status CheckTextureDigest(absl::string_view run, absl::string_view played, absl::string_view here);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_IO_TEXTURE_DIGEST_H_

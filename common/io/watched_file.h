@@ -1,7 +1,6 @@
 // A file that may be replaced while the program runs.
 
-#ifndef CRAFTFLEET_COMMON_IO_WATCHED_FILE_H_
-#define CRAFTFLEET_COMMON_IO_WATCHED_FILE_H_
+#pragma once
 
 #include <sys/types.h>
 
@@ -57,5 +56,3 @@ class FileWatch {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_IO_WATCHED_FILE_H_

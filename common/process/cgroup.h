@@ -1,7 +1,6 @@
 // The control groups that limit this process, for both versions of cgroups.
 
-#ifndef CRAFTFLEET_COMMON_PROCESS_CGROUP_H_
-#define CRAFTFLEET_COMMON_PROCESS_CGROUP_H_
+#pragma once
 
 #include <cstdint>
 #include <optional>
@@ -31,5 +30,3 @@ std::optional<double> OwnCpuLimit(absl::string_view own_cgroups, const std::stri
 int DefaultThreads();
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_PROCESS_CGROUP_H_

@@ -1,7 +1,6 @@
 // Suggestions for mistyped names: "did you mean --lanes?"
 
-#ifndef CRAFTFLEET_COMMON_PROCESS_CLOSEST_NAME_H_
-#define CRAFTFLEET_COMMON_PROCESS_CLOSEST_NAME_H_
+#pragma once
 
 #include <string>
 #include <vector>
@@ -18,5 +17,3 @@ std::string ClosestName(absl::string_view name, const std::vector<std::string>& 
 std::string DidYouMean(absl::string_view name, const std::vector<std::string>& names);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_PROCESS_CLOSEST_NAME_H_

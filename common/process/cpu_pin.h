@@ -1,8 +1,7 @@
 // The instruction set that a run pins (RunConfig.cpu). It determines the order in which LibTorch and the libraries
 // under it add numbers, and so the last bits of results.
 
-#ifndef CRAFTFLEET_COMMON_PROCESS_CPU_PIN_H_
-#define CRAFTFLEET_COMMON_PROCESS_CPU_PIN_H_
+#pragma once
 
 #include <string>
 #include <utility>
@@ -33,5 +32,3 @@ std::vector<std::pair<std::string, std::string>> CpuPins(v1::RunConfig::Cpu cpu)
 absl::Status PinCpu(v1::RunConfig::Cpu cpu);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_PROCESS_CPU_PIN_H_

@@ -1,8 +1,7 @@
 // Values of flags: convenient notations (1e6 for a number of steps, 5 for five seconds), and errors for those out of
 // range: "--size=7, want 64..1024".
 
-#ifndef CRAFTFLEET_COMMON_PROCESS_FLAG_VALUES_H_
-#define CRAFTFLEET_COMMON_PROCESS_FLAG_VALUES_H_
+#pragma once
 
 #include <cstdint>
 #include <optional>
@@ -55,5 +54,3 @@ absl::Status CheckFlagRange(absl::string_view flag, Value value, Value low, Valu
 absl::Status CheckFlagRange(absl::string_view flag, absl::Duration value, absl::Duration low, absl::Duration high);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_PROCESS_FLAG_VALUES_H_

@@ -1,7 +1,6 @@
 // The allocator: tcmalloc in programs that are linked with it (craftfleet_heap in cmake/craftfleet.cmake).
 
-#ifndef CRAFTFLEET_COMMON_PROCESS_HEAP_H_
-#define CRAFTFLEET_COMMON_PROCESS_HEAP_H_
+#pragma once
 
 #include <atomic>
 #include <cstddef>
@@ -38,5 +37,3 @@ inline void ReleaseFreeMemory(absl::Time now = SteadyNow()) {
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_PROCESS_HEAP_H_

@@ -1,7 +1,6 @@
 // The output of --help, --helpfull and --help_json, generated from the program's flags.
 
-#ifndef CRAFTFLEET_COMMON_PROCESS_HELP_H_
-#define CRAFTFLEET_COMMON_PROCESS_HELP_H_
+#pragma once
 
 #include <string>
 #include <utility>
@@ -43,5 +42,3 @@ std::string FullHelp(const ProgramHelp& program);
 std::string HelpJson(const ProgramHelp& program);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_PROCESS_HELP_H_

@@ -1,7 +1,6 @@
 // Command line, standard output, exit codes and signals, the same in every program.
 
-#ifndef CRAFTFLEET_COMMON_PROCESS_PROGRAM_H_
-#define CRAFTFLEET_COMMON_PROCESS_PROGRAM_H_
+#pragma once
 
 #include <csignal>
 #include <functional>
@@ -61,5 +60,3 @@ class StopSignal {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_PROCESS_PROGRAM_H_

@@ -1,8 +1,7 @@
 // Flags that several programs or commands have. Each names those that it has, and may explain them in its own words
 // (help.h): their declarations here say what they have in common.
 
-#ifndef CRAFTFLEET_COMMON_PROCESS_SHARED_FLAGS_H_
-#define CRAFTFLEET_COMMON_PROCESS_SHARED_FLAGS_H_
+#pragma once
 
 #include <cstdint>
 #include <optional>
@@ -45,5 +44,3 @@ inline constexpr char kLearnerAddress[] = "127.0.0.1:50051";
 absl::StatusOr<int64_t> EnvSeedFromFlag(int64_t otherwise = 0);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_PROCESS_SHARED_FLAGS_H_

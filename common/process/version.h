@@ -1,7 +1,6 @@
 // Version and git revision of this build.
 
-#ifndef CRAFTFLEET_COMMON_PROCESS_VERSION_H_
-#define CRAFTFLEET_COMMON_PROCESS_VERSION_H_
+#pragma once
 
 #include <string>
 
@@ -19,5 +18,3 @@ std::string BuildId();
 std::string VersionText(absl::string_view program);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_PROCESS_VERSION_H_

@@ -1,7 +1,6 @@
 // The unique name of a worker.
 
-#ifndef CRAFTFLEET_COMMON_PROCESS_WORKER_NAME_H_
-#define CRAFTFLEET_COMMON_PROCESS_WORKER_NAME_H_
+#pragma once
 
 #include <string>
 
@@ -12,5 +11,3 @@ namespace craftfleet {
 std::string UniqueWorkerName();
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_PROCESS_WORKER_NAME_H_

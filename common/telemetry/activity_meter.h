@@ -1,7 +1,6 @@
 // Measures how a thread spends its time by activity, and how many steps it completes.
 
-#ifndef CRAFTFLEET_COMMON_TELEMETRY_ACTIVITY_METER_H_
-#define CRAFTFLEET_COMMON_TELEMETRY_ACTIVITY_METER_H_
+#pragma once
 
 #include <array>
 #include <cstddef>
@@ -111,5 +110,3 @@ class ActivityMeter {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_TELEMETRY_ACTIVITY_METER_H_

@@ -1,7 +1,6 @@
 // GPUs as NVIDIA's driver reports them (NVML, loaded if it is there).
 
-#ifndef CRAFTFLEET_COMMON_TELEMETRY_GPU_USAGE_H_
-#define CRAFTFLEET_COMMON_TELEMETRY_GPU_USAGE_H_
+#pragma once
 
 #include <cstdint>
 #include <memory>
@@ -57,5 +56,3 @@ std::optional<GpuUsage> ReadGpuUsage();
 std::optional<GpuUsage> ReadGpuUsage(int number);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_TELEMETRY_GPU_USAGE_H_

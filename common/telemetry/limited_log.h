@@ -1,7 +1,6 @@
 // Rate-limited log lines, so that an unknown client cannot fill the disk with them.
 
-#ifndef CRAFTFLEET_COMMON_TELEMETRY_LIMITED_LOG_H_
-#define CRAFTFLEET_COMMON_TELEMETRY_LIMITED_LOG_H_
+#pragma once
 
 #include <cstdint>
 #include <map>
@@ -52,5 +51,3 @@ class LimitedLog {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_TELEMETRY_LIMITED_LOG_H_

@@ -1,7 +1,6 @@
 // One line per event on standard error: time, level, text.
 
-#ifndef CRAFTFLEET_COMMON_TELEMETRY_LOG_H_
-#define CRAFTFLEET_COMMON_TELEMETRY_LOG_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -69,5 +68,3 @@ void LogError(const absl::FormatSpec<Args...>& format, const Args&... args) {
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_TELEMETRY_LOG_H_

@@ -1,7 +1,6 @@
 // Every metric that the programs report, in their status and to Prometheus: name, unit and meaning.
 
-#ifndef CRAFTFLEET_COMMON_TELEMETRY_METRIC_TABLE_H_
-#define CRAFTFLEET_COMMON_TELEMETRY_METRIC_TABLE_H_
+#pragma once
 
 #include <string>
 
@@ -31,5 +30,3 @@ const MetricInfo* FindMetric(absl::string_view name);
 std::string PrometheusName(const MetricInfo& metric);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_TELEMETRY_METRIC_TABLE_H_

@@ -1,7 +1,6 @@
 // CPU time, open files and memory of this process.
 
-#ifndef CRAFTFLEET_COMMON_TELEMETRY_PROCESS_USAGE_H_
-#define CRAFTFLEET_COMMON_TELEMETRY_PROCESS_USAGE_H_
+#pragma once
 
 #include <cstdint>
 
@@ -23,5 +22,3 @@ inline constexpr int64_t kKeptFiles = 128;  // of these, for all but connections
 int64_t ResidentMemoryBytes();
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_TELEMETRY_PROCESS_USAGE_H_

@@ -1,7 +1,6 @@
 // Authorization: which clients may watch, play, serve and steer. The only place that admits or refuses calls.
 
-#ifndef CRAFTFLEET_COMMON_WIRE_ACCESS_H_
-#define CRAFTFLEET_COMMON_WIRE_ACCESS_H_
+#pragma once
 
 #include <memory>
 #include <optional>
@@ -103,5 +102,3 @@ std::string Identify(const AccessControl* access, const grpc::ServerContextBase&
 std::shared_ptr<grpc::AuthMetadataProcessor> MakeAccessProcessor(std::shared_ptr<AccessControl> access);
 
 }  // namespace craftfleet::wire
-
-#endif  // CRAFTFLEET_COMMON_WIRE_ACCESS_H_

@@ -1,7 +1,6 @@
 // Copies of certificate files that gRPC can watch safely.
 
-#ifndef CRAFTFLEET_COMMON_WIRE_CERTIFICATE_COPIES_H_
-#define CRAFTFLEET_COMMON_WIRE_CERTIFICATE_COPIES_H_
+#pragma once
 
 #include "common/wire/security.h"
 
@@ -16,5 +15,3 @@ namespace craftfleet::wire {
 TlsFiles CopiesInMemory(const TlsFiles& files);
 
 }  // namespace craftfleet::wire
-
-#endif  // CRAFTFLEET_COMMON_WIRE_CERTIFICATE_COPIES_H_

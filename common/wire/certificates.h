@@ -1,7 +1,6 @@
 // Checks of certificate files before anything connects.
 
-#ifndef CRAFTFLEET_COMMON_WIRE_CERTIFICATES_H_
-#define CRAFTFLEET_COMMON_WIRE_CERTIFICATES_H_
+#pragma once
 
 #include <string>
 
@@ -37,5 +36,3 @@ std::string CertificateProblem(const std::string& certificate, const std::string
 std::string Sha256Hex(absl::string_view text);
 
 }  // namespace craftfleet::wire
-
-#endif  // CRAFTFLEET_COMMON_WIRE_CERTIFICATES_H_

@@ -1,7 +1,6 @@
 // Client channels with the settings that every program uses.
 
-#ifndef CRAFTFLEET_COMMON_WIRE_CHANNEL_H_
-#define CRAFTFLEET_COMMON_WIRE_CHANNEL_H_
+#pragma once
 
 #include <grpc/compression.h>
 #include <sys/resource.h>
@@ -83,5 +82,3 @@ absl::Status WaitUntilConnected(absl::string_view who, const Endpoint& endpoint,
 void SetDeadline(grpc::ClientContext* context, absl::Duration timeout);
 
 }  // namespace craftfleet::wire
-
-#endif  // CRAFTFLEET_COMMON_WIRE_CHANNEL_H_

@@ -1,8 +1,7 @@
 // The flags of every program that connects to another: --tls_cert, --tls_key, --tls_ca, --tls_server_name,
 // --token_file.
 
-#ifndef CRAFTFLEET_COMMON_WIRE_CHANNEL_FLAGS_H_
-#define CRAFTFLEET_COMMON_WIRE_CHANNEL_FLAGS_H_
+#pragma once
 
 #include <absl/status/statusor.h>
 
@@ -16,5 +15,3 @@ TlsFiles TlsFilesFromFlags();
 absl::StatusOr<ChannelSecurity> ChannelSecurityFromFlags();
 
 }  // namespace craftfleet::wire
-
-#endif  // CRAFTFLEET_COMMON_WIRE_CHANNEL_FLAGS_H_

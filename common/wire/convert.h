@@ -2,8 +2,7 @@
 // request_check.h and, for replies, actor/play_reply.h and learner_replies.h. Frames and snapshots are moved, not
 // copied: the messages are left without them.
 
-#ifndef CRAFTFLEET_COMMON_WIRE_CONVERT_H_
-#define CRAFTFLEET_COMMON_WIRE_CONVERT_H_
+#pragma once
 
 #include <cstdint>
 #include <vector>
@@ -53,5 +52,3 @@ absl::StatusOr<std::vector<Moment>> MomentsFromProto(v1::PlayReply* message, int
 absl::Status ActionsFromProto(const v1::StepLanes& request, std::vector<Action>* actions);
 
 }  // namespace craftfleet::wire
-
-#endif  // CRAFTFLEET_COMMON_WIRE_CONVERT_H_

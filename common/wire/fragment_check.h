@@ -1,8 +1,7 @@
 // Ranges of the values of fragments, each with its reason. Values that no game can produce are refused on arrival: a
 // learner that accepted them would fail later, when the sender is no longer known.
 
-#ifndef CRAFTFLEET_COMMON_WIRE_FRAGMENT_CHECK_H_
-#define CRAFTFLEET_COMMON_WIRE_FRAGMENT_CHECK_H_
+#pragma once
 
 #include <cstdint>
 #include <vector>
@@ -65,5 +64,3 @@ absl::Status CheckEpisode(const v1::EpisodeMessage& message, int64_t min_length,
 absl::Status CheckEpisodes(const google::protobuf::RepeatedPtrField<v1::EpisodeMessage>& episodes, int64_t max_length);
 
 }  // namespace craftfleet::wire
-
-#endif  // CRAFTFLEET_COMMON_WIRE_FRAGMENT_CHECK_H_

@@ -1,7 +1,6 @@
 // A digest that must be equal for two actors that play the same fragment.
 
-#ifndef CRAFTFLEET_COMMON_WIRE_FRAGMENT_DIGEST_H_
-#define CRAFTFLEET_COMMON_WIRE_FRAGMENT_DIGEST_H_
+#pragma once
 
 #include <cstdint>
 
@@ -14,5 +13,3 @@ namespace craftfleet::wire {
 uint64_t FragmentDigest(const Fragment& fragment);
 
 }  // namespace craftfleet::wire
-
-#endif  // CRAFTFLEET_COMMON_WIRE_FRAGMENT_DIGEST_H_

@@ -1,7 +1,6 @@
 // absl::Status <-> grpc::Status; the codes have the same numbers.
 
-#ifndef CRAFTFLEET_COMMON_WIRE_GRPC_STATUS_H_
-#define CRAFTFLEET_COMMON_WIRE_GRPC_STATUS_H_
+#pragma once
 
 #include <absl/status/status.h>
 #include <absl/strings/string_view.h>
@@ -15,5 +14,3 @@ grpc::Status ToGrpc(const absl::Status& status);
 absl::Status FromGrpc(const grpc::Status& status, absl::string_view context);
 
 }  // namespace craftfleet::wire
-
-#endif  // CRAFTFLEET_COMMON_WIRE_GRPC_STATUS_H_

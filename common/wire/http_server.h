@@ -1,7 +1,6 @@
 // A small HTTP server for pages that programs and browsers read, on libmicrohttpd.
 
-#ifndef CRAFTFLEET_COMMON_WIRE_HTTP_SERVER_H_
-#define CRAFTFLEET_COMMON_WIRE_HTTP_SERVER_H_
+#pragma once
 
 #include <functional>
 #include <memory>
@@ -90,5 +89,3 @@ class HttpServer {
 };
 
 }  // namespace craftfleet::wire
-
-#endif  // CRAFTFLEET_COMMON_WIRE_HTTP_SERVER_H_

@@ -1,7 +1,6 @@
 // A TCP socket that listens.
 
-#ifndef CRAFTFLEET_COMMON_WIRE_LISTEN_SOCKET_H_
-#define CRAFTFLEET_COMMON_WIRE_LISTEN_SOCKET_H_
+#pragma once
 
 #include <memory>
 #include <string>
@@ -42,5 +41,3 @@ class ListenSocket {
 };
 
 }  // namespace craftfleet::wire
-
-#endif  // CRAFTFLEET_COMMON_WIRE_LISTEN_SOCKET_H_

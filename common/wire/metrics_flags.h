@@ -1,7 +1,6 @@
 // The flags of the Prometheus endpoint, the same in every program of the fleet.
 
-#ifndef CRAFTFLEET_COMMON_WIRE_METRICS_FLAGS_H_
-#define CRAFTFLEET_COMMON_WIRE_METRICS_FLAGS_H_
+#pragma once
 
 #include <functional>
 #include <memory>
@@ -26,5 +25,3 @@ absl::StatusOr<std::unique_ptr<MetricsServer>> ServeMetrics(const MetricsServer:
                                                             StatusServiceImpl* status, std::function<bool()> serving);
 
 }  // namespace craftfleet::wire
-
-#endif  // CRAFTFLEET_COMMON_WIRE_METRICS_FLAGS_H_

@@ -1,7 +1,6 @@
 // The Prometheus endpoint of every process.
 
-#ifndef CRAFTFLEET_COMMON_WIRE_METRICS_SERVER_H_
-#define CRAFTFLEET_COMMON_WIRE_METRICS_SERVER_H_
+#pragma once
 
 #include <functional>
 #include <memory>
@@ -44,5 +43,3 @@ class MetricsServer {
 };
 
 }  // namespace craftfleet::wire
-
-#endif  // CRAFTFLEET_COMMON_WIRE_METRICS_SERVER_H_

@@ -1,7 +1,6 @@
 // Converts a process's status to Prometheus metrics.
 
-#ifndef CRAFTFLEET_COMMON_WIRE_PROMETHEUS_METRICS_H_
-#define CRAFTFLEET_COMMON_WIRE_PROMETHEUS_METRICS_H_
+#pragma once
 
 #include <prometheus/metric_family.h>
 
@@ -15,5 +14,3 @@ namespace craftfleet::wire {
 std::vector<prometheus::MetricFamily> ToMetricFamilies(const v1::StatusReply& status);
 
 }  // namespace craftfleet::wire
-
-#endif  // CRAFTFLEET_COMMON_WIRE_PROMETHEUS_METRICS_H_

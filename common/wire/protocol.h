@@ -1,7 +1,6 @@
 // The handshake: what two processes check before they work together.
 
-#ifndef CRAFTFLEET_COMMON_WIRE_PROTOCOL_H_
-#define CRAFTFLEET_COMMON_WIRE_PROTOCOL_H_
+#pragma once
 
 #include <cstddef>
 
@@ -39,5 +38,3 @@ absl::Status CheckHandshake(absl::string_view us, const Handshake& ours, absl::s
                             const Handshake& theirs);
 
 }  // namespace craftfleet::wire
-
-#endif  // CRAFTFLEET_COMMON_WIRE_PROTOCOL_H_

@@ -1,7 +1,6 @@
 // Ranges of what workers report and request; fragment_check.h has those of fragments.
 
-#ifndef CRAFTFLEET_COMMON_WIRE_REQUEST_CHECK_H_
-#define CRAFTFLEET_COMMON_WIRE_REQUEST_CHECK_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -42,5 +41,3 @@ absl::Status CheckServerReport(const v1::Peer& server);
 absl::Status CheckAnnouncement(const v1::Announcement& announcement);
 
 }  // namespace craftfleet::wire
-
-#endif  // CRAFTFLEET_COMMON_WIRE_REQUEST_CHECK_H_

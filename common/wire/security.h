@@ -1,7 +1,6 @@
 // TLS and tokens: the credentials that a process presents to its peers and requires from them.
 
-#ifndef CRAFTFLEET_COMMON_WIRE_SECURITY_H_
-#define CRAFTFLEET_COMMON_WIRE_SECURITY_H_
+#pragma once
 
 #include <memory>
 #include <string>
@@ -67,5 +66,3 @@ class ChannelSecurity {
 std::shared_ptr<grpc::ServerCredentials> TlsListenerCredentials(const TlsFiles& files, bool ask_clients);
 
 }  // namespace craftfleet::wire
-
-#endif  // CRAFTFLEET_COMMON_WIRE_SECURITY_H_

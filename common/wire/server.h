@@ -1,7 +1,6 @@
 // A gRPC server with health and limits; every program of the fleet runs one.
 
-#ifndef CRAFTFLEET_COMMON_WIRE_SERVER_H_
-#define CRAFTFLEET_COMMON_WIRE_SERVER_H_
+#pragma once
 
 #include <atomic>
 #include <memory>
@@ -71,5 +70,3 @@ class Server {
 };
 
 }  // namespace craftfleet::wire
-
-#endif  // CRAFTFLEET_COMMON_WIRE_SERVER_H_

@@ -1,8 +1,7 @@
 // The flags of every program that listens: --insecure, --tls_client_certs, --access_file, --max_buffered_mb, and those
 // of channel_flags.h.
 
-#ifndef CRAFTFLEET_COMMON_WIRE_SERVER_FLAGS_H_
-#define CRAFTFLEET_COMMON_WIRE_SERVER_FLAGS_H_
+#pragma once
 
 #include <absl/strings/string_view.h>
 
@@ -14,5 +13,3 @@ namespace craftfleet::wire {
 Server::Options ServerOptionsFromFlags(absl::string_view address);
 
 }  // namespace craftfleet::wire
-
-#endif  // CRAFTFLEET_COMMON_WIRE_SERVER_FLAGS_H_

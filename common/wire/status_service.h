@@ -1,7 +1,6 @@
 // The status endpoint of every process.
 
-#ifndef CRAFTFLEET_COMMON_WIRE_STATUS_SERVICE_H_
-#define CRAFTFLEET_COMMON_WIRE_STATUS_SERVICE_H_
+#pragma once
 
 #include <functional>
 #include <map>
@@ -77,5 +76,3 @@ ByActivity TimesOf(const v1::ProcessSummary& summary);
 void AddShares(const ByActivity& shares, google::protobuf::RepeatedPtrField<v1::ActivityTime>* times);
 
 }  // namespace craftfleet::wire
-
-#endif  // CRAFTFLEET_COMMON_WIRE_STATUS_SERVICE_H_

@@ -1,7 +1,6 @@
 // Ends streams whose client sends nothing or reads nothing.
 
-#ifndef CRAFTFLEET_COMMON_WIRE_STREAM_WATCH_H_
-#define CRAFTFLEET_COMMON_WIRE_STREAM_WATCH_H_
+#pragma once
 
 #include <atomic>
 #include <cstdint>
@@ -84,5 +83,3 @@ class StreamWatch {
 std::string ClientOfPeer(absl::string_view peer);
 
 }  // namespace craftfleet::wire
-
-#endif  // CRAFTFLEET_COMMON_WIRE_STREAM_WATCH_H_

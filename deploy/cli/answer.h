@@ -1,8 +1,7 @@
 // Answers the questions of the Python commands (deploy/python/craftfleet/analysis/programs.py) about configurations,
 // run folders and textures, whose formats only the C++ code knows.
 
-#ifndef CRAFTFLEET_DEPLOY_CLI_ANSWER_H_
-#define CRAFTFLEET_DEPLOY_CLI_ANSWER_H_
+#pragma once
 
 #include <string>
 
@@ -22,5 +21,3 @@ namespace craftfleet {
 std::string Answer(absl::string_view question);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_DEPLOY_CLI_ANSWER_H_

@@ -1,7 +1,6 @@
 // The policy of a checkpoint, for programs that play with it.
 
-#ifndef CRAFTFLEET_DEPLOY_CLI_CHECKPOINT_POLICY_H_
-#define CRAFTFLEET_DEPLOY_CLI_CHECKPOINT_POLICY_H_
+#pragma once
 
 #include <memory>
 #include <string>
@@ -35,5 +34,3 @@ absl::StatusOr<CheckpointPolicy> LoadPolicy(const std::string& path);
 absl::Status CheckTextures(const v1::CheckpointState& state, absl::string_view digest);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_DEPLOY_CLI_CHECKPOINT_POLICY_H_

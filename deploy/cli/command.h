@@ -1,7 +1,6 @@
 // The commands of craftfleet that are part of this program. Each is a file NAME_command.cc, which registers it.
 
-#ifndef CRAFTFLEET_DEPLOY_CLI_COMMAND_H_
-#define CRAFTFLEET_DEPLOY_CLI_COMMAND_H_
+#pragma once
 
 #include <map>
 
@@ -24,5 +23,3 @@ struct RegisterCommand {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_DEPLOY_CLI_COMMAND_H_

@@ -1,8 +1,7 @@
 // The checks of craftfleet doctor. They evaluate facts that doctor_command.cc has read and do not read anything
 // themselves, so that tests can simulate any machine.
 
-#ifndef CRAFTFLEET_DEPLOY_CLI_DOCTOR_CHECKS_H_
-#define CRAFTFLEET_DEPLOY_CLI_DOCTOR_CHECKS_H_
+#pragma once
 
 #include <cstdint>
 #include <optional>
@@ -95,5 +94,3 @@ struct TlsFacts {
 Finding CheckTls(const TlsFacts& tls);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_DEPLOY_CLI_DOCTOR_CHECKS_H_

@@ -1,7 +1,6 @@
 // Learner, actor and environment server in one process. They use the same code as a fleet, over in-process channels.
 
-#ifndef CRAFTFLEET_DEPLOY_CLI_LOCAL_FLEET_H_
-#define CRAFTFLEET_DEPLOY_CLI_LOCAL_FLEET_H_
+#pragma once
 
 #include <memory>
 
@@ -44,5 +43,3 @@ class LocalFleet {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_DEPLOY_CLI_LOCAL_FLEET_H_

@@ -1,7 +1,6 @@
 // Connects `craftfleet status` and `admin` to a process.
 
-#ifndef CRAFTFLEET_DEPLOY_CLI_STATUS_CLIENT_H_
-#define CRAFTFLEET_DEPLOY_CLI_STATUS_CLIENT_H_
+#pragma once
 
 #include <absl/status/statusor.h>
 #include <absl/strings/string_view.h>
@@ -15,5 +14,3 @@ namespace craftfleet {
 absl::StatusOr<wire::Endpoint> ConnectToProcess(absl::string_view who, absl::string_view address);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_DEPLOY_CLI_STATUS_CLIENT_H_

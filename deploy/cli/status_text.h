@@ -1,7 +1,6 @@
 // A process status as text.
 
-#ifndef CRAFTFLEET_DEPLOY_CLI_STATUS_TEXT_H_
-#define CRAFTFLEET_DEPLOY_CLI_STATUS_TEXT_H_
+#pragma once
 
 #include <string>
 
@@ -14,5 +13,3 @@ namespace craftfleet {
 std::string StatusText(const v1::StatusReply& reply);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_DEPLOY_CLI_STATUS_TEXT_H_

@@ -1,7 +1,6 @@
 // Renderers for programs that draw what they receive as scene records. They have the textures that are compiled in.
 
-#ifndef CRAFTFLEET_ENVSERVER_RENDER_BUILT_IN_RENDERER_H_
-#define CRAFTFLEET_ENVSERVER_RENDER_BUILT_IN_RENDERER_H_
+#pragma once
 
 #include <memory>
 
@@ -21,5 +20,3 @@ absl::StatusOr<std::shared_ptr<const Renderer>> BuiltInRenderer(absl::string_vie
 bool HasBuiltInTextures(absl::string_view digest);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ENVSERVER_RENDER_BUILT_IN_RENDERER_H_

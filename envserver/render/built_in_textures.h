@@ -1,8 +1,7 @@
 // The PNG files of envserver/textures, compiled into the program: an environment server needs no files beside it. The
 // build makes the source from them (embed_textures.cmake). Thread-safe.
 
-#ifndef CRAFTFLEET_ENVSERVER_RENDER_BUILT_IN_TEXTURES_H_
-#define CRAFTFLEET_ENVSERVER_RENDER_BUILT_IN_TEXTURES_H_
+#pragma once
 
 #include <absl/strings/string_view.h>
 #include <absl/types/span.h>
@@ -15,5 +14,3 @@ namespace craftfleet {
 absl::Span<const TextureFile> BuiltInTextures();
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ENVSERVER_RENDER_BUILT_IN_TEXTURES_H_

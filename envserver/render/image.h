@@ -1,7 +1,6 @@
 // Resizes textures and draws one over another.
 
-#ifndef CRAFTFLEET_ENVSERVER_RENDER_IMAGE_H_
-#define CRAFTFLEET_ENVSERVER_RENDER_IMAGE_H_
+#pragma once
 
 #include <vector>
 
@@ -31,5 +30,3 @@ Image Resize(const Texture& texture, int width, int height);
 void Blend(absl::Span<const Pixel> over, absl::Span<Pixel> canvas);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ENVSERVER_RENDER_IMAGE_H_

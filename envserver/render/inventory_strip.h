@@ -4,8 +4,7 @@
 // trunc(0.8 * cell) pixels a side, at offset trunc(cell number * cell + 0.1 * cell); over it the digit of the amount,
 // trunc(0.6 * cell) pixels, at offset trunc(cell number * cell + 0.4 * cell). Both are drawn with Blend().
 
-#ifndef CRAFTFLEET_ENVSERVER_RENDER_INVENTORY_STRIP_H_
-#define CRAFTFLEET_ENVSERVER_RENDER_INVENTORY_STRIP_H_
+#pragma once
 
 #include <array>
 #include <cstdint>
@@ -40,5 +39,3 @@ class InventoryStrip {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ENVSERVER_RENDER_INVENTORY_STRIP_H_

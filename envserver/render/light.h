@@ -10,8 +10,7 @@
 //   the channel without noise and T is 0, 16 and 64 for red, green and blue.
 // Sleep: H = L >> 1 of the result, and the pixel of a sleeping player becomes (H, H, H + 8).
 
-#ifndef CRAFTFLEET_ENVSERVER_RENDER_LIGHT_H_
-#define CRAFTFLEET_ENVSERVER_RENDER_LIGHT_H_
+#pragma once
 
 #include <cstdint>
 
@@ -44,5 +43,3 @@ void LightByNight(double daylight, const NightPixels& map);
 void LightAsleep(absl::Span<Pixel> pixels);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ENVSERVER_RENDER_LIGHT_H_

@@ -6,8 +6,7 @@
 // upper left cell of the view is the player's position minus (columns div 2, map rows div 2). Half of the remaining
 // pixels, rounded down, are at the left and the top.
 
-#ifndef CRAFTFLEET_ENVSERVER_RENDER_PICTURE_LAYOUT_H_
-#define CRAFTFLEET_ENVSERVER_RENDER_PICTURE_LAYOUT_H_
+#pragma once
 
 #include <absl/status/statusor.h>
 
@@ -46,5 +45,3 @@ struct PictureLayout {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ENVSERVER_RENDER_PICTURE_LAYOUT_H_

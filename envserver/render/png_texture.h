@@ -1,7 +1,6 @@
 // One texture file and its pixels: the only part of the renderer that uses libpng. Thread-safe.
 
-#ifndef CRAFTFLEET_ENVSERVER_RENDER_PNG_TEXTURE_H_
-#define CRAFTFLEET_ENVSERVER_RENDER_PNG_TEXTURE_H_
+#pragma once
 
 #include <array>
 #include <cstdint>
@@ -27,5 +26,3 @@ struct Texture {
 absl::StatusOr<Texture> DecodeTexture(absl::string_view bytes, absl::string_view path);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ENVSERVER_RENDER_PNG_TEXTURE_H_

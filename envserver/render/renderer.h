@@ -3,8 +3,7 @@
 // Map cells outside the world are grey (127, 127, 127). A cell shows the colour of its material's texture; alpha is
 // ignored. Objects are drawn over it in order of creation, with Blend().
 
-#ifndef CRAFTFLEET_ENVSERVER_RENDER_RENDERER_H_
-#define CRAFTFLEET_ENVSERVER_RENDER_RENDERER_H_
+#pragma once
 
 #include <array>
 #include <cstdint>
@@ -87,5 +86,3 @@ class Renderer {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ENVSERVER_RENDER_RENDERER_H_

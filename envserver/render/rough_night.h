@@ -1,8 +1,7 @@
 // The light by night in floats, without the low words of the noise: twice as fast as the exact light, and the same
 // nearly everywhere. Only light.cc needs it.
 
-#ifndef CRAFTFLEET_ENVSERVER_RENDER_ROUGH_NIGHT_H_
-#define CRAFTFLEET_ENVSERVER_RENDER_ROUGH_NIGHT_H_
+#pragma once
 
 #include <cstdint>
 
@@ -32,5 +31,3 @@ void LightRoughly(double daylight, bool lit_is_sure, const uint32_t* high, const
                   int blocks, Pixel* lit, uint32_t* unsure);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ENVSERVER_RENDER_ROUGH_NIGHT_H_

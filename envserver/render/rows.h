@@ -1,7 +1,6 @@
 // From pixels in columns, as the map is drawn, to the rows of a frame.
 
-#ifndef CRAFTFLEET_ENVSERVER_RENDER_ROWS_H_
-#define CRAFTFLEET_ENVSERVER_RENDER_ROWS_H_
+#pragma once
 
 #include <cstdint>
 
@@ -14,5 +13,3 @@ namespace craftfleet {
 void WriteRows(const Pixel* columns, int stride, int width, int height, uint8_t* rows, int row_bytes);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ENVSERVER_RENDER_ROWS_H_

@@ -1,7 +1,6 @@
 // What a picture shows, apart from the night's noise: from it a renderer draws the picture without the world.
 
-#ifndef CRAFTFLEET_ENVSERVER_RENDER_SCENE_H_
-#define CRAFTFLEET_ENVSERVER_RENDER_SCENE_H_
+#pragma once
 
 #include <array>
 #include <cstdint>
@@ -39,5 +38,3 @@ struct Scene {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ENVSERVER_RENDER_SCENE_H_

@@ -11,8 +11,7 @@
 //   noise      only if daylight < 0.5. With bit 1: position uint16, 0..624; words uint32[624]. Without: words
 //              drawn since the record before: uint16, 0..kMaxWordsBetween
 
-#ifndef CRAFTFLEET_ENVSERVER_RENDER_SCENE_RECORD_H_
-#define CRAFTFLEET_ENVSERVER_RENDER_SCENE_RECORD_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -65,5 +64,3 @@ class SceneReader {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ENVSERVER_RENDER_SCENE_RECORD_H_

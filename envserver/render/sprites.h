@@ -1,8 +1,7 @@
 // Maps the things on the map to textures. A sprite is a material, creature, player, arrow or plant in one of its
 // variants; sprites are numbered without gaps, so that a renderer can keep them in an array.
 
-#ifndef CRAFTFLEET_ENVSERVER_RENDER_SPRITES_H_
-#define CRAFTFLEET_ENVSERVER_RENDER_SPRITES_H_
+#pragma once
 
 #include <string>
 
@@ -38,5 +37,3 @@ bool IsVariant(Sprite sprite);
 bool IsPossible(const WorldOptions& options, Sprite sprite);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ENVSERVER_RENDER_SPRITES_H_

@@ -1,8 +1,7 @@
 // The textures of the game, decoded: loaded once, shared by every renderer.
 // Immutable after Load() or BuiltIn(): may be shared between threads.
 
-#ifndef CRAFTFLEET_ENVSERVER_RENDER_TEXTURES_H_
-#define CRAFTFLEET_ENVSERVER_RENDER_TEXTURES_H_
+#pragma once
 
 #include <functional>
 #include <map>
@@ -42,5 +41,3 @@ class Textures {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ENVSERVER_RENDER_TEXTURES_H_

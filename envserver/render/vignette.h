@@ -4,8 +4,7 @@
 // cover(x, y) = 1 - exp(-(0.5 * (X*X + Y*Y) / 0.25)) with X = x * (2 / (map width - 1)) - 1, the last one exactly 1,
 // and Y in the same way.
 
-#ifndef CRAFTFLEET_ENVSERVER_RENDER_VIGNETTE_H_
-#define CRAFTFLEET_ENVSERVER_RENDER_VIGNETTE_H_
+#pragma once
 
 #include <vector>
 
@@ -18,5 +17,3 @@ double ExpOfMinus(double x);
 std::vector<double> Vignette(int width, int height);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ENVSERVER_RENDER_VIGNETTE_H_

@@ -1,7 +1,6 @@
 // Draws the appearance variant of a new cell or creature. Source: RULES.md, section 14.
 
-#ifndef CRAFTFLEET_ENVSERVER_WORLD_APPEARANCE_H_
-#define CRAFTFLEET_ENVSERVER_WORLD_APPEARANCE_H_
+#pragma once
 
 #include <absl/functional/function_ref.h>
 
@@ -24,5 +23,3 @@ bool IsPossibleVariant(const WorldOptions& options, Material material, Variant v
 bool IsPossibleVariant(const WorldOptions& options, ObjectType type, Variant variant);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ENVSERVER_WORLD_APPEARANCE_H_

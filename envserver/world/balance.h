@@ -13,8 +13,7 @@
 // spawn distance. Otherwise, if it has more than `high`, and U() < despawn chance: R(creatures) picks one in the order
 // in which they entered the chunk. It is removed if its distance to the player is at least the despawn distance.
 
-#ifndef CRAFTFLEET_ENVSERVER_WORLD_BALANCE_H_
-#define CRAFTFLEET_ENVSERVER_WORLD_BALANCE_H_
+#pragma once
 
 #include "envserver/world/state.h"
 
@@ -24,5 +23,3 @@ namespace craftfleet {
 void BalanceChunks(WorldState* state);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ENVSERVER_WORLD_BALANCE_H_

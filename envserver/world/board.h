@@ -1,8 +1,7 @@
 // The cells of a world, the objects on them, and the chunks in which creatures are counted.
 // Source: RULES.md, section 4.
 
-#ifndef CRAFTFLEET_ENVSERVER_WORLD_BOARD_H_
-#define CRAFTFLEET_ENVSERVER_WORLD_BOARD_H_
+#pragma once
 
 #include <array>
 #include <cstddef>
@@ -131,5 +130,3 @@ class Board {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ENVSERVER_WORLD_BOARD_H_

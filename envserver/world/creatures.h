@@ -1,8 +1,7 @@
 // Creates and updates cows, zombies, skeletons, arrows and plants.
 // Source: RULES.md, section 7.
 
-#ifndef CRAFTFLEET_ENVSERVER_WORLD_CREATURES_H_
-#define CRAFTFLEET_ENVSERVER_WORLD_CREATURES_H_
+#pragma once
 
 #include "envserver/world/board.h"
 #include "envserver/world/state.h"
@@ -20,5 +19,3 @@ void AddCreature(ObjectType type, Position position, Variant variant, Board* boa
 void UpdateObject(int index, WorldState* state);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ENVSERVER_WORLD_CREATURES_H_

@@ -1,7 +1,6 @@
 // Daylight by step. Source: RULES.md, section 9.
 
-#ifndef CRAFTFLEET_ENVSERVER_WORLD_DAYLIGHT_H_
-#define CRAFTFLEET_ENVSERVER_WORLD_DAYLIGHT_H_
+#pragma once
 
 #include <cstdint>
 
@@ -11,5 +10,3 @@ namespace craftfleet {
 double Daylight(int64_t step);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ENVSERVER_WORLD_DAYLIGHT_H_

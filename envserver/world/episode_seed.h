@@ -1,7 +1,6 @@
 // The seed of an episode's random stream.
 
-#ifndef CRAFTFLEET_ENVSERVER_WORLD_EPISODE_SEED_H_
-#define CRAFTFLEET_ENVSERVER_WORLD_EPISODE_SEED_H_
+#pragma once
 
 #include <cstdint>
 
@@ -17,5 +16,3 @@ namespace craftfleet {
 uint32_t EpisodeSeed(int64_t seed, int64_t episode);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ENVSERVER_WORLD_EPISODE_SEED_H_

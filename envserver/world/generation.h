@@ -33,8 +33,7 @@
 // The number settings of CrafterOOD (RULES.md, section 14) replace the thresholds of tree, coal, cow, zombie and
 // skeleton.
 
-#ifndef CRAFTFLEET_ENVSERVER_WORLD_GENERATION_H_
-#define CRAFTFLEET_ENVSERVER_WORLD_GENERATION_H_
+#pragma once
 
 #include "envserver/world/state.h"
 
@@ -44,5 +43,3 @@ namespace craftfleet {
 void GenerateWorld(WorldState* state);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ENVSERVER_WORLD_GENERATION_H_

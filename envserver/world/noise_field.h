@@ -1,8 +1,7 @@
 // Simplex noise for many cells of a world at once: many times as fast as SimplexNoise::At, and inexact. A caller that
 // compares it with a threshold asks SimplexNoise::At where the difference is within kNoiseError.
 
-#ifndef CRAFTFLEET_ENVSERVER_WORLD_NOISE_FIELD_H_
-#define CRAFTFLEET_ENVSERVER_WORLD_NOISE_FIELD_H_
+#pragma once
 
 #include <array>
 #include <cstdint>
@@ -56,5 +55,3 @@ class NoiseField {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ENVSERVER_WORLD_NOISE_FIELD_H_

@@ -1,8 +1,7 @@
 // The options of a world: size, length and the CrafterOOD settings.
 // Source: RULES.md, sections 3, 5 and 14.
 
-#ifndef CRAFTFLEET_ENVSERVER_WORLD_OPTIONS_H_
-#define CRAFTFLEET_ENVSERVER_WORLD_OPTIONS_H_
+#pragma once
 
 #include <array>
 #include <string>
@@ -52,5 +51,3 @@ struct WorldOptions {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ENVSERVER_WORLD_OPTIONS_H_

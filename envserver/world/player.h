@@ -1,7 +1,6 @@
 // The player's part of a step. Source: RULES.md, section 6.
 
-#ifndef CRAFTFLEET_ENVSERVER_WORLD_PLAYER_H_
-#define CRAFTFLEET_ENVSERVER_WORLD_PLAYER_H_
+#pragma once
 
 #include "common/base/crafter.h"
 #include "envserver/world/state.h"
@@ -12,5 +11,3 @@ namespace craftfleet {
 void UpdatePlayer(Action action, WorldState* state);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ENVSERVER_WORLD_PLAYER_H_

@@ -1,8 +1,7 @@
 // The random stream of one episode: MT19937, seeded by init_genrand and read as numpy's RandomState reads it with
 // uniform() and randint(0, n). The order of draws is part of the rules. Thread-compatible: one thread at a time.
 
-#ifndef CRAFTFLEET_ENVSERVER_WORLD_RANDOM_STREAM_H_
-#define CRAFTFLEET_ENVSERVER_WORLD_RANDOM_STREAM_H_
+#pragma once
 
 #include <array>
 #include <cstdint>
@@ -74,5 +73,3 @@ class RandomStream {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ENVSERVER_WORLD_RANDOM_STREAM_H_

@@ -1,8 +1,7 @@
 // Shared by the updates of all objects: walkable materials, moving, distance.
 // Source: RULES.md, sections 1 and 4.
 
-#ifndef CRAFTFLEET_ENVSERVER_WORLD_RULES_H_
-#define CRAFTFLEET_ENVSERVER_WORLD_RULES_H_
+#pragma once
 
 #include <cstdint>
 #include <cstdlib>
@@ -48,5 +47,3 @@ inline bool TryMove(Board* board, int index, Position direction, MaterialSet wal
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ENVSERVER_WORLD_RULES_H_

@@ -23,8 +23,7 @@
 // The noise is the sum of the contributions, corners first, then the two extra points, divided by 103. All in doubles,
 // one rounding per operation.
 
-#ifndef CRAFTFLEET_ENVSERVER_WORLD_SIMPLEX_NOISE_H_
-#define CRAFTFLEET_ENVSERVER_WORLD_SIMPLEX_NOISE_H_
+#pragma once
 
 #include <array>
 #include <cstdint>
@@ -66,5 +65,3 @@ class SimplexNoise {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ENVSERVER_WORLD_SIMPLEX_NOISE_H_

@@ -1,7 +1,6 @@
 // The state of a game as bytes and back: little-endian, versioned, with a checksum. Restoring validates everything.
 
-#ifndef CRAFTFLEET_ENVSERVER_WORLD_SNAPSHOT_H_
-#define CRAFTFLEET_ENVSERVER_WORLD_SNAPSHOT_H_
+#pragma once
 
 #include <cstddef>
 #include <string>
@@ -30,5 +29,3 @@ std::string SaveState(const WorldState& state, const RandomStream& stream);
 absl::Status RestoreState(absl::string_view snapshot, WorldState* state);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ENVSERVER_WORLD_SNAPSHOT_H_

@@ -1,7 +1,6 @@
 // Everything that a step of the game can change.
 
-#ifndef CRAFTFLEET_ENVSERVER_WORLD_STATE_H_
-#define CRAFTFLEET_ENVSERVER_WORLD_STATE_H_
+#pragma once
 
 #include <array>
 #include <cstdint>
@@ -47,5 +46,3 @@ struct WorldState {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ENVSERVER_WORLD_STATE_H_

@@ -2,8 +2,7 @@
 // the thresholds by their inexact noise (noise_field.h), those too near to a threshold again by their exact noise.
 // Source: generation.h.
 
-#ifndef CRAFTFLEET_ENVSERVER_WORLD_TERRAIN_H_
-#define CRAFTFLEET_ENVSERVER_WORLD_TERRAIN_H_
+#pragma once
 
 #include <cstdint>
 
@@ -39,5 +38,3 @@ void ComputeTraits(const SimplexNoise& noise, int width, int height, Position pl
 uint16_t ExactTraits(const SimplexNoise& noise, Position cell, Position player);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ENVSERVER_WORLD_TERRAIN_H_

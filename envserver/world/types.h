@@ -1,8 +1,7 @@
 // Materials, object types and positions.
 // Source: RULES.md, section 1.
 
-#ifndef CRAFTFLEET_ENVSERVER_WORLD_TYPES_H_
-#define CRAFTFLEET_ENVSERVER_WORLD_TYPES_H_
+#pragma once
 
 #include <array>
 #include <cstdint>
@@ -51,5 +50,3 @@ struct Position {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ENVSERVER_WORLD_TYPES_H_

@@ -1,7 +1,6 @@
 // One game of Crafter without its picture: the rules, bit for bit those of Crafter 1.8.3 (and of CrafterOOD).
 
-#ifndef CRAFTFLEET_ENVSERVER_WORLD_WORLD_H_
-#define CRAFTFLEET_ENVSERVER_WORLD_WORLD_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -90,5 +89,3 @@ class World {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_ENVSERVER_WORLD_WORLD_H_

@@ -1,7 +1,6 @@
 // The live page: a run in a browser.
 
-#ifndef CRAFTFLEET_LEARNER_PAGE_LIVE_PAGE_H_
-#define CRAFTFLEET_LEARNER_PAGE_LIVE_PAGE_H_
+#pragma once
 
 #include <cstdint>
 #include <functional>
@@ -98,5 +97,3 @@ class LivePage {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_PAGE_LIVE_PAGE_H_

@@ -1,8 +1,7 @@
 // The web page of a run: one HTML file with its style, scripts and charts (Chart.js) inside. The learner serves it
 // (learner/page/live_page.h).
 
-#ifndef CRAFTFLEET_LEARNER_PAGE_PAGE_H_
-#define CRAFTFLEET_LEARNER_PAGE_PAGE_H_
+#pragma once
 
 #include <absl/strings/string_view.h>
 
@@ -12,5 +11,3 @@ namespace craftfleet {
 absl::string_view PageTemplate();
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_PAGE_PAGE_H_

@@ -1,7 +1,6 @@
 // Adam (Kingma & Ba 2015) over a flat array of parameters, with clipping by the global gradient norm.
 
-#ifndef CRAFTFLEET_LEARNER_PPO_ADAM_H_
-#define CRAFTFLEET_LEARNER_PPO_ADAM_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -47,5 +46,3 @@ double AdamStep(const AdamOptions& options, absl::Span<const ShardGradient> shar
                 AdamState* state, WorkerPool* workers);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_PPO_ADAM_H_

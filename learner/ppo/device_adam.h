@@ -1,7 +1,6 @@
 // Adam on a device. Equations: PPO.md, adam.h. Includes LibTorch's tensors.
 
-#ifndef CRAFTFLEET_LEARNER_PPO_DEVICE_ADAM_H_
-#define CRAFTFLEET_LEARNER_PPO_DEVICE_ADAM_H_
+#pragma once
 
 #include <cstdint>
 
@@ -56,5 +55,3 @@ class DeviceAdam {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_PPO_DEVICE_ADAM_H_

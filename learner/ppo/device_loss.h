@@ -1,7 +1,6 @@
 // PPO's loss with its gradient (ppo_loss.h) by tensors, on any device. Includes LibTorch's tensors.
 
-#ifndef CRAFTFLEET_LEARNER_PPO_DEVICE_LOSS_H_
-#define CRAFTFLEET_LEARNER_PPO_DEVICE_LOSS_H_
+#pragma once
 
 #include <ATen/core/Tensor.h>
 
@@ -34,5 +33,3 @@ DeviceLoss PpoLossOnDevice(const at::Tensor& logits, const at::Tensor& values, c
 at::Tensor NormaliseOnDevice(const at::Tensor& advantages);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_PPO_DEVICE_LOSS_H_

@@ -1,7 +1,6 @@
 // The rollout of an iteration and the minibatches of all its epochs in a device's memory. Includes LibTorch's tensors.
 
-#ifndef CRAFTFLEET_LEARNER_PPO_DEVICE_ROLLOUT_H_
-#define CRAFTFLEET_LEARNER_PPO_DEVICE_ROLLOUT_H_
+#pragma once
 
 #include <vector>
 
@@ -49,5 +48,3 @@ std::vector<DeviceMinibatch> SendMinibatches(const std::vector<Minibatch>& minib
                                              at::Device device);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_PPO_DEVICE_ROLLOUT_H_

@@ -1,8 +1,7 @@
 // The update on a device: weights, optimiser and rollout stay in its memory. Equations: PPO.md. Includes LibTorch's
 // tensors.
 
-#ifndef CRAFTFLEET_LEARNER_PPO_DEVICE_UPDATE_H_
-#define CRAFTFLEET_LEARNER_PPO_DEVICE_UPDATE_H_
+#pragma once
 
 #include <cstdint>
 #include <functional>
@@ -121,5 +120,3 @@ class DeviceUpdate {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_PPO_DEVICE_UPDATE_H_

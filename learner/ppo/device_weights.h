@@ -1,7 +1,6 @@
 // An agent's weights on a device. Includes LibTorch's tensors.
 
-#ifndef CRAFTFLEET_LEARNER_PPO_DEVICE_WEIGHTS_H_
-#define CRAFTFLEET_LEARNER_PPO_DEVICE_WEIGHTS_H_
+#pragma once
 
 #include <vector>
 
@@ -30,5 +29,3 @@ struct DeviceWeights {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_PPO_DEVICE_WEIGHTS_H_

@@ -1,8 +1,7 @@
 // Recognises training that diverges: weights that are finite, but whose outputs are too large to play with. Includes
 // LibTorch's tensors.
 
-#ifndef CRAFTFLEET_LEARNER_PPO_DIVERGENCE_H_
-#define CRAFTFLEET_LEARNER_PPO_DIVERGENCE_H_
+#pragma once
 
 #include <cstdint>
 
@@ -30,5 +29,3 @@ at::Tensor LargestOutputs(const NetOutput& output);
 absl::Status CheckOutputs(float largest_value, float largest_logit, const ValueRange& accepts);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_PPO_DIVERGENCE_H_

@@ -1,7 +1,6 @@
 // Generalised advantage estimation (Schulman et al. 2016).
 
-#ifndef CRAFTFLEET_LEARNER_PPO_GAE_H_
-#define CRAFTFLEET_LEARNER_PPO_GAE_H_
+#pragma once
 
 #include <absl/types/span.h>
 
@@ -30,5 +29,3 @@ void ComputeGae(const LaneSteps& steps, const GaeOptions& options, absl::Span<fl
                 absl::Span<float> returns);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_PPO_GAE_H_

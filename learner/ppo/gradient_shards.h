@@ -1,7 +1,6 @@
 // The gradient of a minibatch in parts ("shards"), each computed by one thread.
 
-#ifndef CRAFTFLEET_LEARNER_PPO_GRADIENT_SHARDS_H_
-#define CRAFTFLEET_LEARNER_PPO_GRADIENT_SHARDS_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -94,5 +93,3 @@ class GradientShards {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_PPO_GRADIENT_SHARDS_H_

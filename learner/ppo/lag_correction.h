@@ -1,8 +1,7 @@
 // Rollouts that older weights played, corrected with what the first epoch says about them (Hilton et al. 2021).
 // Equations: PPO.md, section 10.
 
-#ifndef CRAFTFLEET_LEARNER_PPO_LAG_CORRECTION_H_
-#define CRAFTFLEET_LEARNER_PPO_LAG_CORRECTION_H_
+#pragma once
 
 #include <cstddef>
 #include <vector>
@@ -37,5 +36,3 @@ struct CorrectedRollout {
 CorrectedRollout CorrectLag(const Rollout& rollout, const StartOutputs& start, const v1::PpoConfig& config);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_PPO_LAG_CORRECTION_H_

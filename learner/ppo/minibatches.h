@@ -1,7 +1,6 @@
 // Which steps of a rollout make up each minibatch of an epoch.
 
-#ifndef CRAFTFLEET_LEARNER_PPO_MINIBATCHES_H_
-#define CRAFTFLEET_LEARNER_PPO_MINIBATCHES_H_
+#pragma once
 
 #include <cstdint>
 #include <vector>
@@ -59,5 +58,3 @@ std::vector<Minibatch> PublishedMinibatches(const EpochKey& key, absl::Span<cons
 std::vector<Minibatch> CutIntoShards(const Minibatch& minibatch, int shards);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_PPO_MINIBATCHES_H_

@@ -1,7 +1,6 @@
 // Optimisers and value statistics as tensors and metadata of a safetensors file. Format: FORMATS.md, section 7.
 
-#ifndef CRAFTFLEET_LEARNER_PPO_OPTIMIZER_FILE_H_
-#define CRAFTFLEET_LEARNER_PPO_OPTIMIZER_FILE_H_
+#pragma once
 
 #include <absl/status/statusor.h>
 #include <absl/strings/string_view.h>
@@ -25,5 +24,3 @@ absl::StatusOr<AdamState> ReadAdam(const AgentSpec& spec, absl::string_view pref
 absl::StatusOr<ValueNorm> ReadValueNorm(const SafeTensors& file);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_PPO_OPTIMIZER_FILE_H_

@@ -1,7 +1,6 @@
 // PPO's loss with its gradient by hand: no LibTorch, exact in double.
 
-#ifndef CRAFTFLEET_LEARNER_PPO_PPO_LOSS_H_
-#define CRAFTFLEET_LEARNER_PPO_PPO_LOSS_H_
+#pragma once
 
 #include <absl/types/span.h>
 
@@ -49,5 +48,3 @@ PpoLossSums PpoLoss(absl::Span<const float> logits, absl::Span<const float> valu
 void Normalise(absl::Span<float> advantages);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_PPO_PPO_LOSS_H_

@@ -1,7 +1,6 @@
 // Proximal policy optimisation (Schulman et al. 2017): from a rollout to the next weights. Equations: PPO.md.
 
-#ifndef CRAFTFLEET_LEARNER_PPO_PPO_UPDATER_H_
-#define CRAFTFLEET_LEARNER_PPO_PPO_UPDATER_H_
+#pragma once
 
 #include <cstdint>
 #include <functional>
@@ -153,5 +152,3 @@ class PpoUpdater {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_PPO_PPO_UPDATER_H_

@@ -1,7 +1,6 @@
 // Sums over the learners ("ranks") that share out the gradient shards of each minibatch.
 
-#ifndef CRAFTFLEET_LEARNER_PPO_RANK_SUMS_H_
-#define CRAFTFLEET_LEARNER_PPO_RANK_SUMS_H_
+#pragma once
 
 #include <cstddef>
 #include <functional>
@@ -65,5 +64,3 @@ class RankSums {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_PPO_RANK_SUMS_H_

@@ -1,7 +1,6 @@
 // The data of one PPO iteration.
 
-#ifndef CRAFTFLEET_LEARNER_PPO_ROLLOUT_H_
-#define CRAFTFLEET_LEARNER_PPO_ROLLOUT_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -71,5 +70,3 @@ void ReplaceValues(std::vector<float> values, Rollout* rollout);
 void EstimateAdvantages(const GaeOptions& options, Rollout* rollout);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_PPO_ROLLOUT_H_

@@ -1,7 +1,6 @@
 // Parts of a computation with LibTorch, on all workers.
 
-#ifndef CRAFTFLEET_LEARNER_PPO_RUN_PARTS_H_
-#define CRAFTFLEET_LEARNER_PPO_RUN_PARTS_H_
+#pragma once
 
 #include <functional>
 
@@ -17,5 +16,3 @@ namespace craftfleet {
 absl::Status RunParts(WorkerPool* workers, absl::string_view what, int count, const std::function<void(int)>& part);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_PPO_RUN_PARTS_H_

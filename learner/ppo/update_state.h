@@ -1,7 +1,6 @@
 // What an update changes.
 
-#ifndef CRAFTFLEET_LEARNER_PPO_UPDATE_STATE_H_
-#define CRAFTFLEET_LEARNER_PPO_UPDATE_STATE_H_
+#pragma once
 
 #include <vector>
 
@@ -29,5 +28,3 @@ struct UpdateState {
 inline absl::Status UpdateStopped() { return absl::CancelledError("the update was stopped; nothing is changed"); }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_PPO_UPDATE_STATE_H_

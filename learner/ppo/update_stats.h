@@ -1,7 +1,6 @@
 // One PPO iteration in numbers.
 
-#ifndef CRAFTFLEET_LEARNER_PPO_UPDATE_STATS_H_
-#define CRAFTFLEET_LEARNER_PPO_UPDATE_STATS_H_
+#pragma once
 
 #include <optional>
 
@@ -41,5 +40,3 @@ struct UpdateStats {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_PPO_UPDATE_STATS_H_

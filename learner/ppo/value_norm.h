@@ -1,7 +1,6 @@
 // Normalised value targets: the value head predicts returns with their running mean and variance taken out.
 
-#ifndef CRAFTFLEET_LEARNER_PPO_VALUE_NORM_H_
-#define CRAFTFLEET_LEARNER_PPO_VALUE_NORM_H_
+#pragma once
 
 #include <cstdint>
 
@@ -61,5 +60,3 @@ struct ValueNorm {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_PPO_VALUE_NORM_H_

@@ -1,7 +1,6 @@
 // Flags of the learners that share out the updates of a run.
 
-#ifndef CRAFTFLEET_LEARNER_RANKS_RANK_FLAGS_H_
-#define CRAFTFLEET_LEARNER_RANKS_RANK_FLAGS_H_
+#pragma once
 
 #include <absl/status/statusor.h>
 
@@ -17,5 +16,3 @@ namespace craftfleet {
 absl::StatusOr<RankOptions> RankOptionsFromFlags();
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_RANKS_RANK_FLAGS_H_

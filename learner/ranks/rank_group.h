@@ -1,7 +1,6 @@
 // What the learners of one run compute together: each rank's part, added in the order of ranks.
 
-#ifndef CRAFTFLEET_LEARNER_RANKS_RANK_GROUP_H_
-#define CRAFTFLEET_LEARNER_RANKS_RANK_GROUP_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -98,5 +97,3 @@ class RankGroup {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_RANKS_RANK_GROUP_H_

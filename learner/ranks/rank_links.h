@@ -1,7 +1,6 @@
 // Connections between the learners of one run ("ranks"), by Gloo. They are neither encrypted nor authenticated.
 
-#ifndef CRAFTFLEET_LEARNER_RANKS_RANK_LINKS_H_
-#define CRAFTFLEET_LEARNER_RANKS_RANK_LINKS_H_
+#pragma once
 
 #include <memory>
 #include <string>
@@ -82,5 +81,3 @@ class RankLinks {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_RANKS_RANK_LINKS_H_

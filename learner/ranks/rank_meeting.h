@@ -1,7 +1,6 @@
 // How the learners of one run ("ranks") become a group.
 
-#ifndef CRAFTFLEET_LEARNER_RANKS_RANK_MEETING_H_
-#define CRAFTFLEET_LEARNER_RANKS_RANK_MEETING_H_
+#pragma once
 
 #include <memory>
 #include <string>
@@ -62,5 +61,3 @@ class RankMeeting {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_RANKS_RANK_MEETING_H_

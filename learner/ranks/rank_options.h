@@ -1,7 +1,6 @@
 // Which part of a run a learner has.
 
-#ifndef CRAFTFLEET_LEARNER_RANKS_RANK_OPTIONS_H_
-#define CRAFTFLEET_LEARNER_RANKS_RANK_OPTIONS_H_
+#pragma once
 
 #include <functional>
 #include <string>
@@ -29,5 +28,3 @@ struct RankOptions {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_RANKS_RANK_OPTIONS_H_

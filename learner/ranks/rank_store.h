@@ -1,7 +1,6 @@
 // What the ranks of a run tell each other before they are connected.
 
-#ifndef CRAFTFLEET_LEARNER_RANKS_RANK_STORE_H_
-#define CRAFTFLEET_LEARNER_RANKS_RANK_STORE_H_
+#pragma once
 
 #include <memory>
 #include <string>
@@ -48,5 +47,3 @@ class RankStore {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_RANKS_RANK_STORE_H_

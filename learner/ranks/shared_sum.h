@@ -1,7 +1,6 @@
 // Sums of the ranks on one host, through memory that they share.
 
-#ifndef CRAFTFLEET_LEARNER_RANKS_SHARED_SUM_H_
-#define CRAFTFLEET_LEARNER_RANKS_SHARED_SUM_H_
+#pragma once
 
 #include <array>
 #include <cstddef>
@@ -90,5 +89,3 @@ class SharedSum {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_RANKS_SHARED_SUM_H_

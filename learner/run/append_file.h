@@ -1,8 +1,7 @@
 // An append-only log that can be truncated to an earlier length. While the disk is full, data is buffered in memory, in
 // order; data that a failed sync may have lost is written again. Thread-compatible: one thread at a time.
 
-#ifndef CRAFTFLEET_LEARNER_RUN_APPEND_FILE_H_
-#define CRAFTFLEET_LEARNER_RUN_APPEND_FILE_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -67,5 +66,3 @@ class AppendFile {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_RUN_APPEND_FILE_H_

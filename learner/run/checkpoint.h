@@ -1,8 +1,7 @@
 // A checkpoint: a folder with everything that a run needs to continue as if it had never stopped. Files and fields:
 // FORMATS.md, section 7.
 
-#ifndef CRAFTFLEET_LEARNER_RUN_CHECKPOINT_H_
-#define CRAFTFLEET_LEARNER_RUN_CHECKPOINT_H_
+#pragma once
 
 #include <memory>
 #include <string>
@@ -43,5 +42,3 @@ absl::StatusOr<v1::CheckpointState> LoadCheckpointState(const std::string& folde
 absl::StatusOr<Checkpoint> LoadCheckpoint(const std::string& folder, absl::string_view agent);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_RUN_CHECKPOINT_H_

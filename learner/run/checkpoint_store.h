@@ -1,7 +1,6 @@
 // The checkpoints of one run. Each is written completely or not at all; the newest ones and the best are kept.
 
-#ifndef CRAFTFLEET_LEARNER_RUN_CHECKPOINT_STORE_H_
-#define CRAFTFLEET_LEARNER_RUN_CHECKPOINT_STORE_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -79,5 +78,3 @@ class CheckpointStore {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_RUN_CHECKPOINT_STORE_H_

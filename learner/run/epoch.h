@@ -1,8 +1,7 @@
 // The learner's epoch: how often a learner has started on a run folder. Permits carry it, so that fragments of an
 // earlier start can be recognised, and only the latest start may write. File: FORMATS.md, section 9.
 
-#ifndef CRAFTFLEET_LEARNER_RUN_EPOCH_H_
-#define CRAFTFLEET_LEARNER_RUN_EPOCH_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -39,5 +38,3 @@ class EpochFence {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_RUN_EPOCH_H_

@@ -2,8 +2,7 @@
 // Source: the TFRecord framing (length, masked CRC-32C of the length, data, masked CRC-32C of the data; little-endian)
 // and event.proto, as TensorFlow documents them. Tags: FORMATS.md, section 6.
 
-#ifndef CRAFTFLEET_LEARNER_RUN_EVENT_LOG_H_
-#define CRAFTFLEET_LEARNER_RUN_EVENT_LOG_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -58,5 +57,3 @@ class EventLog {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_RUN_EVENT_LOG_H_

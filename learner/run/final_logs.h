@@ -4,8 +4,7 @@
 // finished run of, say, 4096 steps trains further, they are renamed to final_argmax-4096.jsonl and
 // final_sampled-4096.jsonl. They are renamed back when the run returns to the checkpoint that they belong to.
 
-#ifndef CRAFTFLEET_LEARNER_RUN_FINAL_LOGS_H_
-#define CRAFTFLEET_LEARNER_RUN_FINAL_LOGS_H_
+#pragma once
 
 #include <string>
 
@@ -28,5 +27,3 @@ absl::Status RestoreFinalLogs(const std::string& logdir, const v1::CheckpointSta
 absl::Status SetFinalLogsAside(const std::string& logdir, v1::CheckpointState* state);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_RUN_FINAL_LOGS_H_

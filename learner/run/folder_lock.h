@@ -1,7 +1,6 @@
 // Prevents two processes from writing the same run folder. File: FORMATS.md, section 8.
 
-#ifndef CRAFTFLEET_LEARNER_RUN_FOLDER_LOCK_H_
-#define CRAFTFLEET_LEARNER_RUN_FOLDER_LOCK_H_
+#pragma once
 
 #include <string>
 
@@ -28,5 +27,3 @@ class FolderLock {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_RUN_FOLDER_LOCK_H_

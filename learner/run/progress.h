@@ -1,7 +1,6 @@
 // The progress line that is printed while a run trains.
 
-#ifndef CRAFTFLEET_LEARNER_RUN_PROGRESS_H_
-#define CRAFTFLEET_LEARNER_RUN_PROGRESS_H_
+#pragma once
 
 #include <cstdint>
 #include <functional>
@@ -53,5 +52,3 @@ class ProgressPrinter {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_RUN_PROGRESS_H_

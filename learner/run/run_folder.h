@@ -1,8 +1,7 @@
 // The folder of one run: its description, logs, checkpoints and current score. Every file, field by field:
 // FORMATS.md.
 
-#ifndef CRAFTFLEET_LEARNER_RUN_RUN_FOLDER_H_
-#define CRAFTFLEET_LEARNER_RUN_RUN_FOLDER_H_
+#pragma once
 
 #include <array>
 #include <cstddef>
@@ -153,5 +152,3 @@ struct ResumedRun {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_RUN_RUN_FOLDER_H_

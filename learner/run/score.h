@@ -1,8 +1,7 @@
 // The score of a run: Crafter's score (Hafner 2021) and the means for its learning curve.
 // Formula: FORMATS.md, section 6; golden: tests/data/agents/score.json.
 
-#ifndef CRAFTFLEET_LEARNER_RUN_SCORE_H_
-#define CRAFTFLEET_LEARNER_RUN_SCORE_H_
+#pragma once
 
 #include <array>
 #include <cstdint>
@@ -47,5 +46,3 @@ class ScoreBoard {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_RUN_SCORE_H_

@@ -1,7 +1,6 @@
 // The learning curve of a run, in bounded memory.
 
-#ifndef CRAFTFLEET_LEARNER_RUN_SCORE_CURVE_H_
-#define CRAFTFLEET_LEARNER_RUN_SCORE_CURVE_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -69,5 +68,3 @@ class ScoreCurve {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_RUN_SCORE_CURVE_H_

@@ -1,8 +1,7 @@
 // stats.jsonl: one JSON object per finished episode, as Crafter's own recorder writes it.
 // Format: FORMATS.md, section 3. Crafter's analysis scripts read this file.
 
-#ifndef CRAFTFLEET_LEARNER_RUN_STATS_LOG_H_
-#define CRAFTFLEET_LEARNER_RUN_STATS_LOG_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -33,5 +32,3 @@ absl::StatusOr<Episode> ParseStatsLine(absl::string_view line);
 absl::Status VisitStats(const std::string& path, int64_t bytes, absl::FunctionRef<void(const Episode&)> visit);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_RUN_STATS_LOG_H_

@@ -1,7 +1,6 @@
 // Which actor gets the next fragment.
 
-#ifndef CRAFTFLEET_LEARNER_SCHEDULING_ASSIGNMENT_H_
-#define CRAFTFLEET_LEARNER_SCHEDULING_ASSIGNMENT_H_
+#pragma once
 
 #include <cstdint>
 #include <vector>
@@ -97,5 +96,3 @@ class Assignment {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_SCHEDULING_ASSIGNMENT_H_

@@ -1,7 +1,6 @@
 // Checks that workers compute the same numbers and play the same game as this learner's build.
 
-#ifndef CRAFTFLEET_LEARNER_SCHEDULING_BUILD_CHECK_H_
-#define CRAFTFLEET_LEARNER_SCHEDULING_BUILD_CHECK_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -46,5 +45,3 @@ class BuildCheck {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_SCHEDULING_BUILD_CHECK_H_

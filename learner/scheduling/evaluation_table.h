@@ -1,7 +1,6 @@
 // Assigns the tasks of pending evaluations to actors, and collects their results.
 
-#ifndef CRAFTFLEET_LEARNER_SCHEDULING_EVALUATION_TABLE_H_
-#define CRAFTFLEET_LEARNER_SCHEDULING_EVALUATION_TABLE_H_
+#pragma once
 
 #include <array>
 #include <cstddef>
@@ -130,5 +129,3 @@ class EvaluationTable {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_SCHEDULING_EVALUATION_TABLE_H_

@@ -1,7 +1,6 @@
 // Decides which actor plays which lane, and which fragments count.
 
-#ifndef CRAFTFLEET_LEARNER_SCHEDULING_LANE_SCHEDULER_H_
-#define CRAFTFLEET_LEARNER_SCHEDULING_LANE_SCHEDULER_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -90,5 +89,3 @@ class LaneScheduler {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_SCHEDULING_LANE_SCHEDULER_H_

@@ -1,7 +1,6 @@
 // The lanes: where each stands, who holds it and who plays it.
 
-#ifndef CRAFTFLEET_LEARNER_SCHEDULING_LANE_TABLE_H_
-#define CRAFTFLEET_LEARNER_SCHEDULING_LANE_TABLE_H_
+#pragma once
 
 #include <cstdint>
 #include <deque>
@@ -185,5 +184,3 @@ class LaneTable {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_SCHEDULING_LANE_TABLE_H_

@@ -1,7 +1,6 @@
 // How long an actor may have something that the learner waits for.
 
-#ifndef CRAFTFLEET_LEARNER_SCHEDULING_OVERDUE_H_
-#define CRAFTFLEET_LEARNER_SCHEDULING_OVERDUE_H_
+#pragma once
 
 #include <cstddef>
 #include <deque>
@@ -32,5 +31,3 @@ class Overdue {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_SCHEDULING_OVERDUE_H_

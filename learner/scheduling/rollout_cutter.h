@@ -1,7 +1,6 @@
 // Which fragments make a rollout, and how far play runs ahead of the updates.
 
-#ifndef CRAFTFLEET_LEARNER_SCHEDULING_ROLLOUT_CUTTER_H_
-#define CRAFTFLEET_LEARNER_SCHEDULING_ROLLOUT_CUTTER_H_
+#pragma once
 
 #include <cstdint>
 #include <deque>
@@ -83,5 +82,3 @@ class RolloutCutter {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_SCHEDULING_ROLLOUT_CUTTER_H_

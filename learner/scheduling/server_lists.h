@@ -1,7 +1,6 @@
 // Which actor plays on which environment servers.
 
-#ifndef CRAFTFLEET_LEARNER_SCHEDULING_SERVER_LISTS_H_
-#define CRAFTFLEET_LEARNER_SCHEDULING_SERVER_LISTS_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -75,5 +74,3 @@ class ServerLists {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_SCHEDULING_SERVER_LISTS_H_

@@ -1,7 +1,6 @@
 // What actors report on environment servers.
 
-#ifndef CRAFTFLEET_LEARNER_SCHEDULING_SERVER_REPORTS_H_
-#define CRAFTFLEET_LEARNER_SCHEDULING_SERVER_REPORTS_H_
+#pragma once
 
 #include <cstdint>
 #include <memory>
@@ -66,5 +65,3 @@ class ServerReports {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_SCHEDULING_SERVER_REPORTS_H_

@@ -1,7 +1,6 @@
 // A lane's snapshot that many records share.
 
-#ifndef CRAFTFLEET_LEARNER_SCHEDULING_SHARED_SNAPSHOT_H_
-#define CRAFTFLEET_LEARNER_SCHEDULING_SHARED_SNAPSHOT_H_
+#pragma once
 
 #include <memory>
 #include <string>
@@ -35,5 +34,3 @@ class SharedSnapshot {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_SCHEDULING_SHARED_SNAPSHOT_H_

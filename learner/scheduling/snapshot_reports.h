@@ -1,7 +1,6 @@
 // What happens if a lane's snapshot can't be restored.
 
-#ifndef CRAFTFLEET_LEARNER_SCHEDULING_SNAPSHOT_REPORTS_H_
-#define CRAFTFLEET_LEARNER_SCHEDULING_SNAPSHOT_REPORTS_H_
+#pragma once
 
 #include <cstdint>
 
@@ -47,5 +46,3 @@ class SnapshotReports {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_SCHEDULING_SNAPSHOT_REPORTS_H_

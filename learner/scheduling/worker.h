@@ -1,7 +1,6 @@
 // The learner's record of one worker.
 
-#ifndef CRAFTFLEET_LEARNER_SCHEDULING_WORKER_H_
-#define CRAFTFLEET_LEARNER_SCHEDULING_WORKER_H_
+#pragma once
 
 #include <map>
 #include <memory>
@@ -87,5 +86,3 @@ struct Worker {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_SCHEDULING_WORKER_H_

@@ -1,7 +1,6 @@
 // The registry of the learner's workers and their work, with one lock and one clock.
 
-#ifndef CRAFTFLEET_LEARNER_SCHEDULING_WORKER_REGISTRY_H_
-#define CRAFTFLEET_LEARNER_SCHEDULING_WORKER_REGISTRY_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -242,5 +241,3 @@ class WorkerRegistry {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_SCHEDULING_WORKER_REGISTRY_H_

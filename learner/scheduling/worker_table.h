@@ -1,7 +1,6 @@
 // The records of all workers: who owns a name, who is there, and when they are forgotten.
 
-#ifndef CRAFTFLEET_LEARNER_SCHEDULING_WORKER_TABLE_H_
-#define CRAFTFLEET_LEARNER_SCHEDULING_WORKER_TABLE_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -113,5 +112,3 @@ class WorkerTable {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_SCHEDULING_WORKER_TABLE_H_

@@ -1,7 +1,6 @@
 // An actor's stream of requests and fragments.
 
-#ifndef CRAFTFLEET_LEARNER_SERVICE_ACTOR_STREAM_H_
-#define CRAFTFLEET_LEARNER_SERVICE_ACTOR_STREAM_H_
+#pragma once
 
 #include <atomic>
 #include <cstdint>
@@ -70,5 +69,3 @@ class ActorStream final : public grpc::ServerBidiReactor<v1::ActorMessage, v1::L
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_SERVICE_ACTOR_STREAM_H_

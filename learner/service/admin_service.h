@@ -1,7 +1,6 @@
 // The service behind `craftfleet admin`.
 
-#ifndef CRAFTFLEET_LEARNER_SERVICE_ADMIN_SERVICE_H_
-#define CRAFTFLEET_LEARNER_SERVICE_ADMIN_SERVICE_H_
+#pragma once
 
 #include <functional>
 #include <string>
@@ -38,5 +37,3 @@ class AdminServiceImpl final : public v1::AdminService::Service {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_SERVICE_ADMIN_SERVICE_H_

@@ -1,7 +1,6 @@
 // Summarises the whole fleet for the learner's status page, and finds what limits its speed.
 
-#ifndef CRAFTFLEET_LEARNER_SERVICE_FLEET_SUMMARY_H_
-#define CRAFTFLEET_LEARNER_SERVICE_FLEET_SUMMARY_H_
+#pragma once
 
 #include <string>
 #include <vector>
@@ -55,5 +54,3 @@ void CountWorkers(const std::vector<WorkerRegistry::WorkerInfo>& workers, v1::Fl
 v1::FleetSummary SummarizeFleet(const FleetView& view);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_SERVICE_FLEET_SUMMARY_H_

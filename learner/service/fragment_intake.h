@@ -1,7 +1,6 @@
 // What becomes of a fragment that an actor sends.
 
-#ifndef CRAFTFLEET_LEARNER_SERVICE_FRAGMENT_INTAKE_H_
-#define CRAFTFLEET_LEARNER_SERVICE_FRAGMENT_INTAKE_H_
+#pragma once
 
 #include <atomic>
 #include <cstdint>
@@ -55,5 +54,3 @@ class FragmentIntake {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_SERVICE_FRAGMENT_INTAKE_H_

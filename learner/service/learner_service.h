@@ -2,8 +2,7 @@
 // client have no thread each, since every actor nearly always has some: gRPC calls them back on a few threads of its
 // own.
 
-#ifndef CRAFTFLEET_LEARNER_SERVICE_LEARNER_SERVICE_H_
-#define CRAFTFLEET_LEARNER_SERVICE_LEARNER_SERVICE_H_
+#pragma once
 
 #include <atomic>
 #include <cstdint>
@@ -128,5 +127,3 @@ class LearnerServiceImpl final : public v1::LearnerService::CallbackService {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_SERVICE_LEARNER_SERVICE_H_

@@ -1,7 +1,6 @@
 // The commands that steer a run.
 
-#ifndef CRAFTFLEET_LEARNER_SERVICE_STEERING_H_
-#define CRAFTFLEET_LEARNER_SERVICE_STEERING_H_
+#pragma once
 
 #include <cstdint>
 #include <functional>
@@ -48,5 +47,3 @@ class Steering {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_SERVICE_STEERING_H_

@@ -1,7 +1,6 @@
 // A download of weights.
 
-#ifndef CRAFTFLEET_LEARNER_SERVICE_WEIGHT_STREAM_H_
-#define CRAFTFLEET_LEARNER_SERVICE_WEIGHT_STREAM_H_
+#pragma once
 
 #include <cstddef>
 #include <memory>
@@ -48,5 +47,3 @@ class WeightStream final : public grpc::ServerWriteReactor<v1::WeightsChunk> {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_SERVICE_WEIGHT_STREAM_H_

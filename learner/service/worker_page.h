@@ -1,7 +1,6 @@
 // Converts workers' reports from messages, and workers to peers of status replies.
 
-#ifndef CRAFTFLEET_LEARNER_SERVICE_WORKER_PAGE_H_
-#define CRAFTFLEET_LEARNER_SERVICE_WORKER_PAGE_H_
+#pragma once
 
 #include <cstddef>
 #include <memory>
@@ -29,5 +28,3 @@ inline constexpr size_t kMaxPeers = 1000;  // on a status page: more would take 
 std::vector<WorkerRegistry::WorkerInfo> AddWorkers(const WorkerRegistry& registry, v1::StatusReply* reply);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_SERVICE_WORKER_PAGE_H_

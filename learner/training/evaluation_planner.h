@@ -1,7 +1,6 @@
 // Plans a run's evaluations: when, on which episodes, and in which order results are logged.
 
-#ifndef CRAFTFLEET_LEARNER_TRAINING_EVALUATION_PLANNER_H_
-#define CRAFTFLEET_LEARNER_TRAINING_EVALUATION_PLANNER_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -71,5 +70,3 @@ class EvaluationPlanner {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_TRAINING_EVALUATION_PLANNER_H_

@@ -1,7 +1,6 @@
 // How old the weights were that played the fragments of an update.
 
-#ifndef CRAFTFLEET_LEARNER_TRAINING_STALENESS_H_
-#define CRAFTFLEET_LEARNER_TRAINING_STALENESS_H_
+#pragma once
 
 #include <algorithm>
 #include <cstdint>
@@ -32,5 +31,3 @@ inline Staleness StalenessOf(const std::vector<Fragment>& fragments, int64_t ver
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_TRAINING_STALENESS_H_

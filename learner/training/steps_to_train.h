@@ -1,7 +1,6 @@
 // The number of steps that a run trains.
 
-#ifndef CRAFTFLEET_LEARNER_TRAINING_STEPS_TO_TRAIN_H_
-#define CRAFTFLEET_LEARNER_TRAINING_STEPS_TO_TRAIN_H_
+#pragma once
 
 #include <cstdint>
 
@@ -16,5 +15,3 @@ inline int64_t StepsToTrain(const v1::RunConfig& config) {
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_TRAINING_STEPS_TO_TRAIN_H_

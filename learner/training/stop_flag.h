@@ -1,7 +1,6 @@
 // The request to stop training.
 
-#ifndef CRAFTFLEET_LEARNER_TRAINING_STOP_FLAG_H_
-#define CRAFTFLEET_LEARNER_TRAINING_STOP_FLAG_H_
+#pragma once
 
 #include <atomic>
 
@@ -33,5 +32,3 @@ class StopFlag {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_TRAINING_STOP_FLAG_H_

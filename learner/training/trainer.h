@@ -1,7 +1,6 @@
 // The training loop: turns fragments into weights, logs and checkpoints.
 
-#ifndef CRAFTFLEET_LEARNER_TRAINING_TRAINER_H_
-#define CRAFTFLEET_LEARNER_TRAINING_TRAINER_H_
+#pragma once
 
 #include <atomic>
 #include <cstdint>
@@ -155,5 +154,3 @@ class Trainer {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_TRAINING_TRAINER_H_

@@ -1,7 +1,6 @@
 // Holds the newest weights, for the gRPC service and for actors in this process.
 
-#ifndef CRAFTFLEET_LEARNER_TRAINING_WEIGHT_STORE_H_
-#define CRAFTFLEET_LEARNER_TRAINING_WEIGHT_STORE_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -67,5 +66,3 @@ class WeightStore {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_TRAINING_WEIGHT_STORE_H_

@@ -1,7 +1,6 @@
 // A fake learner for the actor's tests, and its small run.
 
-#ifndef CRAFTFLEET_TESTS_ACTOR_STAND_IN_LEARNER_H_
-#define CRAFTFLEET_TESTS_ACTOR_STAND_IN_LEARNER_H_
+#pragma once
 
 #include <algorithm>
 #include <cstdint>
@@ -120,5 +119,3 @@ class StandInLearner {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_ACTOR_STAND_IN_LEARNER_H_

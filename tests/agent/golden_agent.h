@@ -1,7 +1,6 @@
 // The weights and frames with which the goldens in tests/data/agents were computed: formulas instead of files.
 
-#ifndef CRAFTFLEET_TESTS_AGENT_GOLDEN_AGENT_H_
-#define CRAFTFLEET_TESTS_AGENT_GOLDEN_AGENT_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -42,5 +41,3 @@ struct GoldenAgent {
 int64_t ByteSum(const std::string& frames);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_AGENT_GOLDEN_AGENT_H_

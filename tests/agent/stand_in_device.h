@@ -1,8 +1,7 @@
 // A device for tests: LibTorch's "privateuseone", whose tensors are in host memory. As on a GPU, its computations
 // refuse tensors of the CPU, and every copy to and from it is counted.
 
-#ifndef CRAFTFLEET_TESTS_AGENT_STAND_IN_DEVICE_H_
-#define CRAFTFLEET_TESTS_AGENT_STAND_IN_DEVICE_H_
+#pragma once
 
 #include <cstdint>
 #include <functional>
@@ -43,5 +42,3 @@ using ComputationObserver = std::function<void(absl::string_view name, const std
 void ObserveComputations(ComputationObserver observer);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_AGENT_STAND_IN_DEVICE_H_

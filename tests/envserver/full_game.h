@@ -1,7 +1,6 @@
 // The largest game: an object on every cell.
 
-#ifndef CRAFTFLEET_TESTS_ENVSERVER_FULL_GAME_H_
-#define CRAFTFLEET_TESTS_ENVSERVER_FULL_GAME_H_
+#pragma once
 
 #include <memory>
 #include <string>
@@ -20,5 +19,3 @@ inline std::string FullSnapshot(std::shared_ptr<const Renderer> renderer) {
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_ENVSERVER_FULL_GAME_H_

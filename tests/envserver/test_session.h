@@ -1,7 +1,6 @@
 // Sessions with an environment server in the test's process, for tests of its service.
 
-#ifndef CRAFTFLEET_TESTS_ENVSERVER_TEST_SESSION_H_
-#define CRAFTFLEET_TESTS_ENVSERVER_TEST_SESSION_H_
+#pragma once
 
 #include <memory>
 #include <string>
@@ -152,5 +151,3 @@ class EnvServiceTest : public testing::Test {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_ENVSERVER_TEST_SESSION_H_

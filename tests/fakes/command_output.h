@@ -1,7 +1,6 @@
 // The output of a shell command, for tests that run other programs.
 
-#ifndef CRAFTFLEET_TESTS_FAKES_COMMAND_OUTPUT_H_
-#define CRAFTFLEET_TESTS_FAKES_COMMAND_OUTPUT_H_
+#pragma once
 
 #include <array>
 #include <cstdio>
@@ -23,5 +22,3 @@ inline std::string OutputOf(const std::string& command) {
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_FAKES_COMMAND_OUTPUT_H_

@@ -5,8 +5,7 @@
 //     TEST_P(NoiseField, IsExact) { ... }
 //     CRAFTFLEET_ON_EACH_CPU_PATH(NoiseField);
 
-#ifndef CRAFTFLEET_TESTS_FAKES_CPU_PATHS_H_
-#define CRAFTFLEET_TESTS_FAKES_CPU_PATHS_H_
+#pragma once
 
 #include <optional>
 
@@ -32,5 +31,3 @@ class OnEachCpuPath : public testing::TestWithParam<CpuPath> {
 #define CRAFTFLEET_ON_EACH_CPU_PATH(suite)                                         \
   INSTANTIATE_TEST_SUITE_P(Cpu, suite, testing::ValuesIn(::craftfleet::kCpuPaths), \
                            [](const auto& path) { return ::craftfleet::CpuPathName(path.param); })
-
-#endif  // CRAFTFLEET_TESTS_FAKES_CPU_PATHS_H_

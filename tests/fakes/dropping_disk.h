@@ -2,8 +2,7 @@
 // but the dropped data stays lost. Defines fsync for the program or library that includes this header; include it only
 // once in each.
 
-#ifndef CRAFTFLEET_TESTS_FAKES_DROPPING_DISK_H_
-#define CRAFTFLEET_TESTS_FAKES_DROPPING_DISK_H_
+#pragma once
 
 #include <fcntl.h>
 #include <sys/stat.h>
@@ -94,5 +93,3 @@ class DroppingDisk {
 }  // namespace craftfleet
 
 extern "C" int fsync(int descriptor) { return craftfleet::DroppingDisk::Get().Sync(descriptor); }
-
-#endif  // CRAFTFLEET_TESTS_FAKES_DROPPING_DISK_H_

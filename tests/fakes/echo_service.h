@@ -1,7 +1,6 @@
 // A service whose sessions answer every request.
 
-#ifndef CRAFTFLEET_TESTS_FAKES_ECHO_SERVICE_H_
-#define CRAFTFLEET_TESTS_FAKES_ECHO_SERVICE_H_
+#pragma once
 
 #include <atomic>
 #include <string>
@@ -30,5 +29,3 @@ class EchoService : public v1::EnvironmentService::Service {
 };
 
 }  // namespace craftfleet::wire
-
-#endif  // CRAFTFLEET_TESTS_FAKES_ECHO_SERVICE_H_

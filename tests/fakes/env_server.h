@@ -1,7 +1,6 @@
 // An environment server within the test's process.
 
-#ifndef CRAFTFLEET_TESTS_FAKES_ENV_SERVER_H_
-#define CRAFTFLEET_TESTS_FAKES_ENV_SERVER_H_
+#pragma once
 
 #include <memory>
 #include <string>
@@ -34,5 +33,3 @@ inline v1::SessionHello SampleHello(int length) {
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_FAKES_ENV_SERVER_H_

@@ -1,7 +1,6 @@
 // An environment server that fails once.
 
-#ifndef CRAFTFLEET_TESTS_FAKES_FAILING_ONCE_SERVICE_H_
-#define CRAFTFLEET_TESTS_FAKES_FAILING_ONCE_SERVICE_H_
+#pragma once
 
 #include <atomic>
 #include <memory>
@@ -45,5 +44,3 @@ class FailingOnceService : public v1::EnvironmentService::Service {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_FAKES_FAILING_ONCE_SERVICE_H_

@@ -1,7 +1,6 @@
 // A clock that the test advances.
 
-#ifndef CRAFTFLEET_TESTS_FAKES_FAKE_CLOCK_H_
-#define CRAFTFLEET_TESTS_FAKES_FAKE_CLOCK_H_
+#pragma once
 
 #include <absl/base/thread_annotations.h>
 #include <absl/time/time.h>
@@ -39,5 +38,3 @@ class FakeClock : public Clock {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_FAKES_FAKE_CLOCK_H_

@@ -1,7 +1,6 @@
 // A learner whose answers to fragments are scripted by the test.
 
-#ifndef CRAFTFLEET_TESTS_FAKES_FAKE_LEARNER_SERVICE_H_
-#define CRAFTFLEET_TESTS_FAKES_FAKE_LEARNER_SERVICE_H_
+#pragma once
 
 #include <cstddef>
 #include <deque>
@@ -167,5 +166,3 @@ class FakeLearnerService : public v1::LearnerService::Service {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_FAKES_FAKE_LEARNER_SERVICE_H_

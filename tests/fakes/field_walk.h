@@ -1,7 +1,6 @@
 // Tries every field of a message at the extremes of its type.
 
-#ifndef CRAFTFLEET_TESTS_FAKES_FIELD_WALK_H_
-#define CRAFTFLEET_TESTS_FAKES_FIELD_WALK_H_
+#pragma once
 
 #include <functional>
 #include <limits>
@@ -239,5 +238,3 @@ class FieldWalk {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_FAKES_FIELD_WALK_H_

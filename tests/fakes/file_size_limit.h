@@ -1,7 +1,6 @@
 // Makes writes fail like on a full disk.
 
-#ifndef CRAFTFLEET_TESTS_FAKES_FILE_SIZE_LIMIT_H_
-#define CRAFTFLEET_TESTS_FAKES_FILE_SIZE_LIMIT_H_
+#pragma once
 
 #include <sys/resource.h>
 
@@ -33,5 +32,3 @@ class FileSizeLimit {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_FAKES_FILE_SIZE_LIMIT_H_

@@ -1,7 +1,6 @@
 // Reads gzip files; files without compression are read as they are.
 
-#ifndef CRAFTFLEET_TESTS_FAKES_GZIP_FILE_H_
-#define CRAFTFLEET_TESTS_FAKES_GZIP_FILE_H_
+#pragma once
 
 #include <zlib.h>
 
@@ -31,5 +30,3 @@ inline absl::StatusOr<std::string> ReadGzipFile(const std::string& path) {
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_FAKES_GZIP_FILE_H_

@@ -1,7 +1,6 @@
 // A client of HTTP servers that sends any bytes.
 
-#ifndef CRAFTFLEET_TESTS_FAKES_HTTP_CLIENT_H_
-#define CRAFTFLEET_TESTS_FAKES_HTTP_CLIENT_H_
+#pragma once
 
 #include <arpa/inet.h>
 #include <sys/socket.h>
@@ -55,5 +54,3 @@ class HttpClient {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_FAKES_HTTP_CLIENT_H_

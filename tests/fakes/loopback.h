@@ -1,7 +1,6 @@
 // TCP sockets on loopback.
 
-#ifndef CRAFTFLEET_TESTS_FAKES_LOOPBACK_H_
-#define CRAFTFLEET_TESTS_FAKES_LOOPBACK_H_
+#pragma once
 
 #include <netinet/in.h>
 #include <sys/socket.h>
@@ -65,5 +64,3 @@ inline int ConnectTo(absl::string_view address) {
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_FAKES_LOOPBACK_H_

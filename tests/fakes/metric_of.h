@@ -1,7 +1,6 @@
 // The metrics of a status.
 
-#ifndef CRAFTFLEET_TESTS_FAKES_METRIC_OF_H_
-#define CRAFTFLEET_TESTS_FAKES_METRIC_OF_H_
+#pragma once
 
 #include <absl/strings/string_view.h>
 
@@ -18,5 +17,3 @@ inline double MetricOf(const v1::StatusReply& status, absl::string_view name) {
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_FAKES_METRIC_OF_H_

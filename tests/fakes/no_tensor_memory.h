@@ -1,7 +1,6 @@
 // Makes LibTorch fail like on a machine without memory.
 
-#ifndef CRAFTFLEET_TESTS_FAKES_NO_TENSOR_MEMORY_H_
-#define CRAFTFLEET_TESTS_FAKES_NO_TENSOR_MEMORY_H_
+#pragma once
 
 #include <cstddef>
 #include <deque>
@@ -60,5 +59,3 @@ class NoTensorMemory {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_FAKES_NO_TENSOR_MEMORY_H_

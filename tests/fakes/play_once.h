@@ -1,8 +1,7 @@
 // Single messages to a learner, each on a stream of its own. Such a stream is not broken when it ends, so the actor's
 // lease goes on.
 
-#ifndef CRAFTFLEET_TESTS_FAKES_PLAY_ONCE_H_
-#define CRAFTFLEET_TESTS_FAKES_PLAY_ONCE_H_
+#pragma once
 
 #include <utility>
 
@@ -47,5 +46,3 @@ inline absl::StatusOr<v1::FragmentVerdict> PushOnce(v1::LearnerService::Stub* st
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_FAKES_PLAY_ONCE_H_

@@ -1,7 +1,6 @@
 // A game that a test plays itself, without a server.
 
-#ifndef CRAFTFLEET_TESTS_FAKES_PLAYED_GAME_H_
-#define CRAFTFLEET_TESTS_FAKES_PLAYED_GAME_H_
+#pragma once
 
 #include <cstdint>
 #include <memory>
@@ -39,5 +38,3 @@ struct PlayedGame {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_FAKES_PLAYED_GAME_H_

@@ -1,7 +1,6 @@
 // Sample weights and policies for tests.
 
-#ifndef CRAFTFLEET_TESTS_FAKES_SAMPLE_POLICY_H_
-#define CRAFTFLEET_TESTS_FAKES_SAMPLE_POLICY_H_
+#pragma once
 
 #include <cstdint>
 #include <memory>
@@ -33,5 +32,3 @@ inline std::unique_ptr<const Policy> SamplePolicy(uint64_t seed, int tile = 8, c
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_FAKES_SAMPLE_POLICY_H_

@@ -1,7 +1,6 @@
 // Detects the sanitizer that a test runs under.
 
-#ifndef CRAFTFLEET_TESTS_FAKES_SANITIZERS_H_
-#define CRAFTFLEET_TESTS_FAKES_SANITIZERS_H_
+#pragma once
 
 namespace craftfleet {
 
@@ -15,5 +14,3 @@ inline constexpr bool kAddressSanitizer = false;
 #endif
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_FAKES_SANITIZERS_H_

@@ -1,7 +1,6 @@
 // Matchers for absl::Status and absl::StatusOr, which the packaged Abseil lacks.
 
-#ifndef CRAFTFLEET_TESTS_FAKES_STATUS_MATCHERS_H_
-#define CRAFTFLEET_TESTS_FAKES_STATUS_MATCHERS_H_
+#pragma once
 
 #include <string>
 
@@ -32,5 +31,3 @@ MATCHER_P2(StatusIs, code, message, "has that code and a matching message") {
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_FAKES_STATUS_MATCHERS_H_

@@ -1,7 +1,6 @@
 // A network connection between two processes that a test can break.
 
-#ifndef CRAFTFLEET_TESTS_FAKES_TCP_FORWARDER_H_
-#define CRAFTFLEET_TESTS_FAKES_TCP_FORWARDER_H_
+#pragma once
 
 #include <poll.h>
 #include <sys/socket.h>
@@ -85,5 +84,3 @@ class TcpForwarder {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_FAKES_TCP_FORWARDER_H_

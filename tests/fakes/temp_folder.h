@@ -1,7 +1,6 @@
 // A temporary folder for a test.
 
-#ifndef CRAFTFLEET_TESTS_FAKES_TEMP_FOLDER_H_
-#define CRAFTFLEET_TESTS_FAKES_TEMP_FOLDER_H_
+#pragma once
 
 #include <cstdlib>
 #include <filesystem>
@@ -37,5 +36,3 @@ class TempFolder {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_FAKES_TEMP_FOLDER_H_

@@ -1,7 +1,6 @@
 // Certificates that are created while a test runs; the repository contains none.
 
-#ifndef CRAFTFLEET_TESTS_FAKES_TEST_CERTIFICATES_H_
-#define CRAFTFLEET_TESTS_FAKES_TEST_CERTIFICATES_H_
+#pragma once
 
 #include <openssl/evp.h>
 #include <openssl/pem.h>
@@ -92,5 +91,3 @@ class TestAuthority {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_FAKES_TEST_CERTIFICATES_H_

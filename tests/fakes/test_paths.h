@@ -1,8 +1,7 @@
 // Where tests find files of the source tree and programs of the build. Only test_paths.cc is compiled with these paths,
 // so that a compiler cache has the other tests of a checkout in another folder.
 
-#ifndef CRAFTFLEET_TESTS_FAKES_TEST_PATHS_H_
-#define CRAFTFLEET_TESTS_FAKES_TEST_PATHS_H_
+#pragma once
 
 #include <string>
 #include <vector>
@@ -21,5 +20,3 @@ std::string BuiltProgram(absl::string_view name);
 std::vector<std::string> BuiltCommand(absl::string_view name);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_FAKES_TEST_PATHS_H_

@@ -1,7 +1,6 @@
 // The threads of the test's process.
 
-#ifndef CRAFTFLEET_TESTS_FAKES_THREADS_H_
-#define CRAFTFLEET_TESTS_FAKES_THREADS_H_
+#pragma once
 
 #include <filesystem>
 
@@ -14,5 +13,3 @@ inline int CountThreads() {
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_FAKES_THREADS_H_

@@ -1,7 +1,6 @@
 // Waits for the effect of another thread or process.
 
-#ifndef CRAFTFLEET_TESTS_FAKES_WAIT_UNTIL_H_
-#define CRAFTFLEET_TESTS_FAKES_WAIT_UNTIL_H_
+#pragma once
 
 #include <functional>
 
@@ -20,5 +19,3 @@ inline bool WaitUntil(const std::function<bool()>& condition, absl::Duration tim
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_FAKES_WAIT_UNTIL_H_

@@ -1,7 +1,6 @@
 // Sample fragments and replies for tests.
 
-#ifndef CRAFTFLEET_TESTS_FAKES_WIRE_SAMPLES_H_
-#define CRAFTFLEET_TESTS_FAKES_WIRE_SAMPLES_H_
+#pragma once
 
 #include <algorithm>
 #include <cstdint>
@@ -126,5 +125,3 @@ inline void ExpectSameFragments(const Fragment& actual, const Fragment& wanted) 
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_FAKES_WIRE_SAMPLES_H_

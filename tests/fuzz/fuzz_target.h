@@ -1,7 +1,6 @@
 // The interface of a fuzz target.
 
-#ifndef CRAFTFLEET_TESTS_FUZZ_FUZZ_TARGET_H_
-#define CRAFTFLEET_TESTS_FUZZ_FUZZ_TARGET_H_
+#pragma once
 
 #include <map>
 #include <string>
@@ -39,5 +38,3 @@ struct FuzzTarget {
 const std::string& FuzzFolder();
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_FUZZ_FUZZ_TARGET_H_

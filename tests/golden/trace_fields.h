@@ -1,7 +1,6 @@
 // The fields of a trace line, taken from a world. Source: the README in CRAFTFLEET_GOLDEN_DIR, the table of keys.
 
-#ifndef CRAFTFLEET_TESTS_GOLDEN_TRACE_FIELDS_H_
-#define CRAFTFLEET_TESTS_GOLDEN_TRACE_FIELDS_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -22,5 +21,3 @@ std::string CrcText(absl::Span<const uint8_t> bytes);
 nlohmann::ordered_json TraceFields(const World& world);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_GOLDEN_TRACE_FIELDS_H_

@@ -1,7 +1,6 @@
 // Sets up situations in a world and accesses its private state: for tests only.
 
-#ifndef CRAFTFLEET_TESTS_GOLDEN_WORLD_EDITOR_H_
-#define CRAFTFLEET_TESTS_GOLDEN_WORLD_EDITOR_H_
+#pragma once
 
 #include <absl/status/status.h>
 #include <nlohmann/json.hpp>
@@ -27,5 +26,3 @@ class WorldEditor {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_GOLDEN_WORLD_EDITOR_H_

@@ -1,7 +1,6 @@
 // An actor that misbehaves.
 
-#ifndef CRAFTFLEET_TESTS_HOSTILE_BAD_ACTOR_H_
-#define CRAFTFLEET_TESTS_HOSTILE_BAD_ACTOR_H_
+#pragma once
 
 #include <cstdint>
 #include <memory>
@@ -55,5 +54,3 @@ class BadActor {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_HOSTILE_BAD_ACTOR_H_

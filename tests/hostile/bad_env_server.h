@@ -1,7 +1,6 @@
 // An environment server that misbehaves.
 
-#ifndef CRAFTFLEET_TESTS_HOSTILE_BAD_ENV_SERVER_H_
-#define CRAFTFLEET_TESTS_HOSTILE_BAD_ENV_SERVER_H_
+#pragma once
 
 #include <cstdint>
 #include <memory>
@@ -43,5 +42,3 @@ class BadEnvService : public v1::EnvironmentService::Service {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_HOSTILE_BAD_ENV_SERVER_H_

@@ -1,7 +1,6 @@
 // A learner that misbehaves.
 
-#ifndef CRAFTFLEET_TESTS_HOSTILE_BAD_LEARNER_H_
-#define CRAFTFLEET_TESTS_HOSTILE_BAD_LEARNER_H_
+#pragma once
 
 #include <atomic>
 
@@ -41,5 +40,3 @@ class BadLearnerService : public v1::LearnerService::Service {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_HOSTILE_BAD_LEARNER_H_

@@ -1,7 +1,6 @@
 // Queries the status of a running process of the fleet.
 
-#ifndef CRAFTFLEET_TESTS_INTEGRATION_ASK_STATUS_H_
-#define CRAFTFLEET_TESTS_INTEGRATION_ASK_STATUS_H_
+#pragma once
 
 #include <string>
 
@@ -33,5 +32,3 @@ inline double MetricOf(const std::string& address, const std::string& name) {
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_INTEGRATION_ASK_STATUS_H_

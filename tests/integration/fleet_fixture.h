@@ -1,8 +1,7 @@
 // A learner, actors and environment servers as processes over loopback. Their results must equal those of a run in one
 // process.
 
-#ifndef CRAFTFLEET_TESTS_INTEGRATION_FLEET_FIXTURE_H_
-#define CRAFTFLEET_TESTS_INTEGRATION_FLEET_FIXTURE_H_
+#pragma once
 
 #include <algorithm>
 #include <cstdint>
@@ -196,5 +195,3 @@ class FleetRunTest : public testing::Test {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_INTEGRATION_FLEET_FIXTURE_H_

@@ -1,7 +1,6 @@
 // Runs a program of the build in a test.
 
-#ifndef CRAFTFLEET_TESTS_INTEGRATION_PROCESS_H_
-#define CRAFTFLEET_TESTS_INTEGRATION_PROCESS_H_
+#pragma once
 
 #include <sys/types.h>
 
@@ -67,5 +66,3 @@ class Process {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_INTEGRATION_PROCESS_H_

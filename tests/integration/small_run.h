@@ -1,7 +1,6 @@
 // Helpers for tests with real programs, and a run that ends within seconds.
 
-#ifndef CRAFTFLEET_TESTS_INTEGRATION_SMALL_RUN_H_
-#define CRAFTFLEET_TESTS_INTEGRATION_SMALL_RUN_H_
+#pragma once
 
 #include <filesystem>
 #include <map>
@@ -102,5 +101,3 @@ class SmallRunTest : public testing::Test {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_INTEGRATION_SMALL_RUN_H_

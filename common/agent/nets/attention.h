@@ -1,7 +1,6 @@
 // The functions that self- and cross-attention share. Includes LibTorch's tensors.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_NETS_ATTENTION_H_
-#define CRAFTFLEET_COMMON_AGENT_NETS_ATTENTION_H_
+#pragma once
 
 #include <cstdint>
 #include <optional>
@@ -43,5 +42,3 @@ at::Tensor Attend(const at::Tensor& queries, const at::Tensor& keys, const at::T
                   const AttentionOptions& options, const std::optional<Dropout>& dropout);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_NETS_ATTENTION_H_

@@ -1,7 +1,6 @@
 // Feature extractors without norms: DQN's convolutions and the size-preserving ones.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_NETS_CONVOLUTIONS_H_
-#define CRAFTFLEET_COMMON_AGENT_NETS_CONVOLUTIONS_H_
+#pragma once
 
 #include <cstdint>
 #include <optional>
@@ -54,5 +53,3 @@ class FlattenLinear : public Part {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_NETS_CONVOLUTIONS_H_

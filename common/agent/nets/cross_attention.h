@@ -1,7 +1,6 @@
 // OC-CA: learned slots attend to patches. Does not include LibTorch.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_NETS_CROSS_ATTENTION_H_
-#define CRAFTFLEET_COMMON_AGENT_NETS_CROSS_ATTENTION_H_
+#pragma once
 
 #include <optional>
 #include <string>
@@ -45,5 +44,3 @@ class CrossAttention : public AttentionPart {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_NETS_CROSS_ATTENTION_H_

@@ -1,7 +1,6 @@
 // A convolution as one product (direct_convolution/) on tensors, with autograd. Includes LibTorch's tensors.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_NETS_DIRECT_CONV_H_
-#define CRAFTFLEET_COMMON_AGENT_NETS_DIRECT_CONV_H_
+#pragma once
 
 #include <ATen/core/Tensor.h>
 
@@ -22,5 +21,3 @@ at::Tensor DirectConv(const DirectShape& shape, const at::Tensor& input, const a
                       const at::Tensor& bias, Activation activation, const PreparedWeight& panels);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_NETS_DIRECT_CONV_H_

@@ -1,7 +1,6 @@
 // A convolution with ReLU by FFT (fft_convolution/) on tensors, with autograd. Includes LibTorch's tensors.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_NETS_FFT_CONV_H_
-#define CRAFTFLEET_COMMON_AGENT_NETS_FFT_CONV_H_
+#pragma once
 
 #include <cstdint>
 
@@ -22,5 +21,3 @@ at::Tensor FftConvRelu(const at::Tensor& input, const at::Tensor& weight, const 
                        const PreparedWeight& filters);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_NETS_FFT_CONV_H_

@@ -1,7 +1,6 @@
 // Predicts how the features will change at the next achievement (Moon et al. 2023). Does not include LibTorch.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_NETS_GOAL_PREDICTOR_H_
-#define CRAFTFLEET_COMMON_AGENT_NETS_GOAL_PREDICTOR_H_
+#pragma once
 
 #include <cstdint>
 
@@ -42,5 +41,3 @@ inline bool IsOfGoalPredictor(absl::string_view param) {
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_NETS_GOAL_PREDICTOR_H_

@@ -1,7 +1,6 @@
 // A residual network on the cells of Crafter's picture. Does not include LibTorch.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_NETS_GRID_RESNET_H_
-#define CRAFTFLEET_COMMON_AGENT_NETS_GRID_RESNET_H_
+#pragma once
 
 #include <cstdint>
 #include <optional>
@@ -36,5 +35,3 @@ class GridResnet : public Part {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_NETS_GRID_RESNET_H_

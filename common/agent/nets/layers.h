@@ -1,8 +1,7 @@
 // The layers of networks. Each declares its parameters in its constructor and computes with them later. The header
 // needs only forward declarations of LibTorch, so that code that lists an agent's parameters compiles quickly.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_NETS_LAYERS_H_
-#define CRAFTFLEET_COMMON_AGENT_NETS_LAYERS_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -120,5 +119,3 @@ class NormedLinear {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_NETS_LAYERS_H_

@@ -1,7 +1,6 @@
 // An LSTM with autograd over segments of different lengths.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_NETS_LSTM_H_
-#define CRAFTFLEET_COMMON_AGENT_NETS_LSTM_H_
+#pragma once
 
 #include <cstdint>
 #include <vector>
@@ -32,5 +31,3 @@ LstmOutput Lstm(const at::Tensor& input, const std::vector<int64_t>& batch_sizes
                 const LstmWeights& weights);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_NETS_LSTM_H_

@@ -1,7 +1,6 @@
 // Maps and their memory, for layers with kernels of their own. Includes LibTorch's tensors.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_NETS_MAP_TENSORS_H_
-#define CRAFTFLEET_COMMON_AGENT_NETS_MAP_TENSORS_H_
+#pragma once
 
 #include <ATen/core/Tensor.h>
 
@@ -23,5 +22,3 @@ at::Tensor MapOf(const at::Tensor& pixels);
 float* DataOf(const at::Tensor& tensor);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_NETS_MAP_TENSORS_H_

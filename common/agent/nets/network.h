@@ -1,8 +1,7 @@
 // A whole network: feature extractor, optional object-centric module, optional recurrent core, two heads. Does not
 // include LibTorch.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_NETS_NETWORK_H_
-#define CRAFTFLEET_COMMON_AGENT_NETS_NETWORK_H_
+#pragma once
 
 #include <cstdint>
 #include <functional>
@@ -68,5 +67,3 @@ class Network {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_NETS_NETWORK_H_

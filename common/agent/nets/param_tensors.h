@@ -1,7 +1,6 @@
 // A network's parameters as LibTorch sees them.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_NETS_PARAM_TENSORS_H_
-#define CRAFTFLEET_COMMON_AGENT_NETS_PARAM_TENSORS_H_
+#pragma once
 
 #include <map>
 #include <memory>
@@ -46,5 +45,3 @@ struct ParamTensors {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_NETS_PARAM_TENSORS_H_

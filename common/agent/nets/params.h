@@ -1,7 +1,6 @@
 // The parameters of a network: names, shapes, initialisation. Does not include LibTorch.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_NETS_PARAMS_H_
-#define CRAFTFLEET_COMMON_AGENT_NETS_PARAMS_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -49,5 +48,3 @@ class ParamList {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_NETS_PARAMS_H_

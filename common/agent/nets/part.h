@@ -1,7 +1,6 @@
 // One part of a network between frames and features. Does not include LibTorch.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_NETS_PART_H_
-#define CRAFTFLEET_COMMON_AGENT_NETS_PART_H_
+#pragma once
 
 #include <cstdint>
 #include <optional>
@@ -44,5 +43,3 @@ class AttentionPart : public Part {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_NETS_PART_H_

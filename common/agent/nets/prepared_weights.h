@@ -1,7 +1,6 @@
 // What layers compute from their weights alone. Includes LibTorch's tensors.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_NETS_PREPARED_WEIGHTS_H_
-#define CRAFTFLEET_COMMON_AGENT_NETS_PREPARED_WEIGHTS_H_
+#pragma once
 
 #include <functional>
 #include <map>
@@ -39,5 +38,3 @@ struct Preparation {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_NETS_PREPARED_WEIGHTS_H_

@@ -1,7 +1,6 @@
 // The kernels of matrix products, compiled for AVX-512 and for AVX2, which compute the same bits, and for AVX512-BF16.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_NETS_PRODUCT_KERNELS_H_
-#define CRAFTFLEET_COMMON_AGENT_NETS_PRODUCT_KERNELS_H_
+#pragma once
 
 #include <cstdint>
 #include <vector>
@@ -47,5 +46,3 @@ const ProductKernels* FindBf16Kernels();
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_NETS_PRODUCT_KERNELS_H_

@@ -1,7 +1,6 @@
 // The part of a recurrent agent between features and heads. Does not include LibTorch.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_NETS_RECURRENT_CORE_H_
-#define CRAFTFLEET_COMMON_AGENT_NETS_RECURRENT_CORE_H_
+#pragma once
 
 #include <cstdint>
 #include <optional>
@@ -53,5 +52,3 @@ class RecurrentCore {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_NETS_RECURRENT_CORE_H_

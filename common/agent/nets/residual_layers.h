@@ -1,7 +1,6 @@
 // What residual networks are made of, after Moon et al. 2023. Does not include LibTorch.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_NETS_RESIDUAL_LAYERS_H_
-#define CRAFTFLEET_COMMON_AGENT_NETS_RESIDUAL_LAYERS_H_
+#pragma once
 
 #include <cstdint>
 #include <optional>
@@ -56,5 +55,3 @@ class FeatureLayers {
 double ResidualBlockNorm(int stacks, int blocks);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_NETS_RESIDUAL_LAYERS_H_

@@ -1,7 +1,6 @@
 // The residual network of Moon et al. 2023. Does not include LibTorch.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_NETS_RESNET_H_
-#define CRAFTFLEET_COMMON_AGENT_NETS_RESNET_H_
+#pragma once
 
 #include <cstdint>
 #include <optional>
@@ -37,5 +36,3 @@ class Resnet : public Part {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_NETS_RESNET_H_

@@ -1,7 +1,6 @@
 // The inputs of a network besides frames, and its outputs.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_NETS_SEGMENTS_H_
-#define CRAFTFLEET_COMMON_AGENT_NETS_SEGMENTS_H_
+#pragma once
 
 #include <cstdint>
 #include <optional>
@@ -45,5 +44,3 @@ struct NetOutput {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_NETS_SEGMENTS_H_

@@ -1,7 +1,6 @@
 // OC-SA: patches and a CLS token attend to each other. Does not include LibTorch.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_NETS_SELF_ATTENTION_H_
-#define CRAFTFLEET_COMMON_AGENT_NETS_SELF_ATTENTION_H_
+#pragma once
 
 #include <optional>
 #include <string>
@@ -42,5 +41,3 @@ class SelfAttention : public AttentionPart {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_NETS_SELF_ATTENTION_H_

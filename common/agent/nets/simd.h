@@ -3,8 +3,7 @@
 // program. Arithmetic is by operators: products and sums are fused only where MulAdd says so (-ffp-contract=off), so
 // each float goes through the same roundings in both variants.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_NETS_SIMD_H_
-#define CRAFTFLEET_COMMON_AGENT_NETS_SIMD_H_
+#pragma once
 
 #include <immintrin.h>
 
@@ -89,5 +88,3 @@ CRAFTFLEET_SIMD_INLINE void Touch(const float* begin, int64_t floats) {
 }
 
 }  // namespace craftfleet::CRAFTFLEET_SIMD
-
-#endif  // CRAFTFLEET_COMMON_AGENT_NETS_SIMD_H_

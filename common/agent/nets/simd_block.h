@@ -1,7 +1,6 @@
 // The accumulators of a block of a matrix product, which live in registers, for one instruction set.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_NETS_SIMD_BLOCK_H_
-#define CRAFTFLEET_COMMON_AGENT_NETS_SIMD_BLOCK_H_
+#pragma once
 
 #include <cstdint>
 
@@ -76,5 +75,3 @@ CRAFTFLEET_SIMD_INLINE void ForBlocks(int64_t rows, const Take& take) {
 }
 
 }  // namespace craftfleet::CRAFTFLEET_SIMD
-
-#endif  // CRAFTFLEET_COMMON_AGENT_NETS_SIMD_BLOCK_H_

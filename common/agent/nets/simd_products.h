@@ -1,7 +1,6 @@
 // The kernels of matrix products for one instruction set, with Op as Block::Add.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_NETS_SIMD_PRODUCTS_H_
-#define CRAFTFLEET_COMMON_AGENT_NETS_SIMD_PRODUCTS_H_
+#pragma once
 
 #include <cstdint>
 
@@ -70,5 +69,3 @@ void CorrelateRows(int64_t count, const float* const* rows, int64_t depth, const
 }
 
 }  // namespace craftfleet::CRAFTFLEET_SIMD
-
-#endif  // CRAFTFLEET_COMMON_AGENT_NETS_SIMD_PRODUCTS_H_

@@ -1,7 +1,6 @@
 // A linear layer whose weight is too large for a CPU's caches, with autograd. Includes LibTorch's tensors.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_NETS_WIDE_LINEAR_H_
-#define CRAFTFLEET_COMMON_AGENT_NETS_WIDE_LINEAR_H_
+#pragma once
 
 #include <cstdint>
 
@@ -33,5 +32,3 @@ void WideWeightGradient(absl::Span<const WideFactors* const> shards, int64_t beg
                         absl::Span<float* const> parts);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_NETS_WIDE_LINEAR_H_

@@ -5,8 +5,7 @@
 // its own numbers and the weight: not on the other rows, the number of threads or, for float, the instruction set.
 // X, W and Y' are float or bfloat16; sums are float32.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_NETS_WIDE_PRODUCT_H_
-#define CRAFTFLEET_COMMON_AGENT_NETS_WIDE_PRODUCT_H_
+#pragma once
 
 #include <cstdint>
 
@@ -62,5 +61,3 @@ class WideProduct {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_NETS_WIDE_PRODUCT_H_

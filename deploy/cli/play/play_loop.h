@@ -1,7 +1,6 @@
 // The loop of `craftfleet play`: keys to actions, games to a screen.
 
-#ifndef CRAFTFLEET_DEPLOY_CLI_PLAY_PLAY_LOOP_H_
-#define CRAFTFLEET_DEPLOY_CLI_PLAY_PLAY_LOOP_H_
+#pragma once
 
 #include <atomic>
 #include <optional>
@@ -29,5 +28,3 @@ absl::Status PlayOnScreen(absl::Duration step_time, const std::atomic<bool>& sto
                           Screen* screen);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_DEPLOY_CLI_PLAY_PLAY_LOOP_H_

@@ -1,7 +1,6 @@
 // The games that a person plays with `craftfleet play`.
 
-#ifndef CRAFTFLEET_DEPLOY_CLI_PLAY_PLAY_SESSION_H_
-#define CRAFTFLEET_DEPLOY_CLI_PLAY_PLAY_SESSION_H_
+#pragma once
 
 #include <cstdint>
 #include <memory>
@@ -77,5 +76,3 @@ class PlaySession {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_DEPLOY_CLI_PLAY_PLAY_SESSION_H_

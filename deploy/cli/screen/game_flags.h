@@ -1,7 +1,6 @@
 // The flags that the programs with a game on a screen share, checked and turned into what they name.
 
-#ifndef CRAFTFLEET_DEPLOY_CLI_SCREEN_GAME_FLAGS_H_
-#define CRAFTFLEET_DEPLOY_CLI_SCREEN_GAME_FLAGS_H_
+#pragma once
 
 #include <cstdint>
 #include <memory>
@@ -41,5 +40,3 @@ absl::Status CheckScreen(bool terminal);
 absl::StatusOr<std::unique_ptr<Screen>> OpenScreen(bool terminal, const std::string& title, int size);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_DEPLOY_CLI_SCREEN_GAME_FLAGS_H_

@@ -1,7 +1,6 @@
 // Pictures of a game in any size, which do not affect the game.
 
-#ifndef CRAFTFLEET_DEPLOY_CLI_SCREEN_GAME_PICTURES_H_
-#define CRAFTFLEET_DEPLOY_CLI_SCREEN_GAME_PICTURES_H_
+#pragma once
 
 #include <memory>
 #include <string>
@@ -42,5 +41,3 @@ class GamePictures {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_DEPLOY_CLI_SCREEN_GAME_PICTURES_H_

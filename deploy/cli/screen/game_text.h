@@ -1,7 +1,6 @@
 // The state of a game as text, for people.
 
-#ifndef CRAFTFLEET_DEPLOY_CLI_SCREEN_GAME_TEXT_H_
-#define CRAFTFLEET_DEPLOY_CLI_SCREEN_GAME_TEXT_H_
+#pragma once
 
 #include <deque>
 #include <string>
@@ -42,5 +41,3 @@ class RecentEvents {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_DEPLOY_CLI_SCREEN_GAME_TEXT_H_

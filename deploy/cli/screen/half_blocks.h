@@ -1,7 +1,6 @@
 // Pictures as text: each character is two pixels, one above the other.
 
-#ifndef CRAFTFLEET_DEPLOY_CLI_SCREEN_HALF_BLOCKS_H_
-#define CRAFTFLEET_DEPLOY_CLI_SCREEN_HALF_BLOCKS_H_
+#pragma once
 
 #include <string>
 #include <vector>
@@ -22,5 +21,3 @@ Colors ColorsOf(const char* colorterm, const char* term);
 std::vector<std::string> HalfBlocks(absl::string_view picture, int width, int height, Colors colors = Colors::kTrue);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_DEPLOY_CLI_SCREEN_HALF_BLOCKS_H_

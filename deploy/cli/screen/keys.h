@@ -1,7 +1,6 @@
 // Keys as programs with a screen see them, the same from a window and from a terminal.
 
-#ifndef CRAFTFLEET_DEPLOY_CLI_SCREEN_KEYS_H_
-#define CRAFTFLEET_DEPLOY_CLI_SCREEN_KEYS_H_
+#pragma once
 
 #include <string>
 #include <vector>
@@ -27,5 +26,3 @@ std::vector<Key> TakeKeys(std::string* bytes);
 Key KeyFromWindow(int code);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_DEPLOY_CLI_SCREEN_KEYS_H_

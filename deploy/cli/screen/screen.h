@@ -1,7 +1,6 @@
 // Where a game is shown: a window or a terminal.
 
-#ifndef CRAFTFLEET_DEPLOY_CLI_SCREEN_SCREEN_H_
-#define CRAFTFLEET_DEPLOY_CLI_SCREEN_SCREEN_H_
+#pragma once
 
 #include <string>
 #include <vector>
@@ -53,5 +52,3 @@ class Screen {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_DEPLOY_CLI_SCREEN_SCREEN_H_

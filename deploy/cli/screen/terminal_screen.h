@@ -1,7 +1,6 @@
 // A screen in a terminal, in the colours that it has, also over ssh.
 
-#ifndef CRAFTFLEET_DEPLOY_CLI_SCREEN_TERMINAL_SCREEN_H_
-#define CRAFTFLEET_DEPLOY_CLI_SCREEN_TERMINAL_SCREEN_H_
+#pragma once
 
 #include <termios.h>
 
@@ -46,5 +45,3 @@ class TerminalScreen : public Screen {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_DEPLOY_CLI_SCREEN_TERMINAL_SCREEN_H_

@@ -1,7 +1,6 @@
 // A view as one picture, for windows and videos.
 
-#ifndef CRAFTFLEET_DEPLOY_CLI_SCREEN_VIEW_PICTURE_H_
-#define CRAFTFLEET_DEPLOY_CLI_SCREEN_VIEW_PICTURE_H_
+#pragma once
 
 #include <opencv2/core/mat.hpp>
 
@@ -15,5 +14,3 @@ namespace craftfleet {
 cv::Mat DrawView(const View& view, const PictureRoom& room);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_DEPLOY_CLI_SCREEN_VIEW_PICTURE_H_

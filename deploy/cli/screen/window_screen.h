@@ -1,7 +1,6 @@
 // A screen in a window of the desktop, by OpenCV.
 
-#ifndef CRAFTFLEET_DEPLOY_CLI_SCREEN_WINDOW_SCREEN_H_
-#define CRAFTFLEET_DEPLOY_CLI_SCREEN_WINDOW_SCREEN_H_
+#pragma once
 
 #include <memory>
 #include <string>
@@ -24,5 +23,3 @@ absl::Status TryDisplay();
 absl::StatusOr<std::unique_ptr<Screen>> OpenWindow(const std::string& title, PictureRoom room);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_DEPLOY_CLI_SCREEN_WINDOW_SCREEN_H_

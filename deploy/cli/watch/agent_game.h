@@ -1,7 +1,6 @@
 // A game that a policy plays step by step, to be watched.
 
-#ifndef CRAFTFLEET_DEPLOY_CLI_WATCH_AGENT_GAME_H_
-#define CRAFTFLEET_DEPLOY_CLI_WATCH_AGENT_GAME_H_
+#pragma once
 
 #include <cstdint>
 #include <memory>
@@ -86,5 +85,3 @@ class AgentGame {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_DEPLOY_CLI_WATCH_AGENT_GAME_H_

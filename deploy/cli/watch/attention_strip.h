@@ -1,7 +1,6 @@
 // The paper's figures of attention: a row of game pictures, and below it what the agent looks at.
 
-#ifndef CRAFTFLEET_DEPLOY_CLI_WATCH_ATTENTION_STRIP_H_
-#define CRAFTFLEET_DEPLOY_CLI_WATCH_ATTENTION_STRIP_H_
+#pragma once
 
 #include <atomic>
 #include <cstdint>
@@ -62,5 +61,3 @@ absl::StatusOr<std::vector<StripColumn>> TakeColumns(const std::vector<int64_t>&
                                                      AgentGame* game);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_DEPLOY_CLI_WATCH_ATTENTION_STRIP_H_

@@ -1,7 +1,6 @@
 // The loop of `craftfleet watch`: an agent plays on a screen, keys change the speed.
 
-#ifndef CRAFTFLEET_DEPLOY_CLI_WATCH_WATCH_LOOP_H_
-#define CRAFTFLEET_DEPLOY_CLI_WATCH_WATCH_LOOP_H_
+#pragma once
 
 #include <atomic>
 #include <cstdint>
@@ -55,5 +54,3 @@ absl::Status WatchOnScreen(const WatchOptions& options, const AgentGame::Options
                            const std::atomic<bool>& stop, Clock* clock, Screen* screen);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_DEPLOY_CLI_WATCH_WATCH_LOOP_H_

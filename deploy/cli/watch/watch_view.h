@@ -1,7 +1,6 @@
 // What `craftfleet watch` shows at a moment.
 
-#ifndef CRAFTFLEET_DEPLOY_CLI_WATCH_WATCH_VIEW_H_
-#define CRAFTFLEET_DEPLOY_CLI_WATCH_WATCH_VIEW_H_
+#pragma once
 
 #include <optional>
 #include <string>
@@ -25,5 +24,3 @@ absl::StatusOr<View> DrawMoment(const std::string& title, const PictureRoom& roo
                                 const std::optional<AttentionChoice>& attention, AgentGame* game);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_DEPLOY_CLI_WATCH_WATCH_VIEW_H_

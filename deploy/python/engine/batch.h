@@ -1,7 +1,6 @@
 // Many games stepped together on several threads, for craftfleet.VectorEnv.
 
-#ifndef CRAFTFLEET_DEPLOY_PYTHON_ENGINE_BATCH_H_
-#define CRAFTFLEET_DEPLOY_PYTHON_ENGINE_BATCH_H_
+#pragma once
 
 #include <sys/types.h>
 
@@ -114,5 +113,3 @@ class Batch {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_DEPLOY_PYTHON_ENGINE_BATCH_H_

@@ -1,7 +1,6 @@
 // One game as Python sees it: unlike envserver/game.h it may be drawn at any size, and worlds of any size can be saved.
 
-#ifndef CRAFTFLEET_DEPLOY_PYTHON_ENGINE_LANE_H_
-#define CRAFTFLEET_DEPLOY_PYTHON_ENGINE_LANE_H_
+#pragma once
 
 #include <cstdint>
 #include <memory>
@@ -60,5 +59,3 @@ class Lane {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_DEPLOY_PYTHON_ENGINE_LANE_H_

@@ -1,7 +1,6 @@
 // What the games of an environment have in common: the options of their worlds, the textures, and their pictures' size.
 
-#ifndef CRAFTFLEET_DEPLOY_PYTHON_ENGINE_SETUP_H_
-#define CRAFTFLEET_DEPLOY_PYTHON_ENGINE_SETUP_H_
+#pragma once
 
 #include <array>
 #include <map>
@@ -60,5 +59,3 @@ class Setup {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_DEPLOY_PYTHON_ENGINE_SETUP_H_

@@ -1,7 +1,6 @@
 // The losses of distillation (distillation_loss.h) by tensors, on any device. Includes LibTorch's tensors.
 
-#ifndef CRAFTFLEET_LEARNER_PPO_DISTILLATION_DEVICE_LOSSES_H_
-#define CRAFTFLEET_LEARNER_PPO_DISTILLATION_DEVICE_LOSSES_H_
+#pragma once
 
 #include <ATen/core/Tensor.h>
 #include <c10/core/Device.h>
@@ -37,5 +36,3 @@ DeviceStepLosses StepLossesOnDevice(const DeviceStep& step, const NetOutput& out
                                     const at::Tensor& old_log_probs);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_PPO_DISTILLATION_DEVICE_LOSSES_H_

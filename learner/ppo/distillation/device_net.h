@@ -1,7 +1,6 @@
 // Distillation's network on a device. Includes LibTorch's tensors.
 
-#ifndef CRAFTFLEET_LEARNER_PPO_DISTILLATION_DEVICE_NET_H_
-#define CRAFTFLEET_LEARNER_PPO_DISTILLATION_DEVICE_NET_H_
+#pragma once
 
 #include <cstdint>
 #include <vector>
@@ -68,5 +67,3 @@ class DeviceNet final : public DistillationNet {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_PPO_DISTILLATION_DEVICE_NET_H_

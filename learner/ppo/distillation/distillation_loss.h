@@ -1,8 +1,7 @@
 // An optimiser step of distillation, with its random choices already made, and its losses with their gradients by hand:
 // no LibTorch, exact in double.
 
-#ifndef CRAFTFLEET_LEARNER_PPO_DISTILLATION_DISTILLATION_LOSS_H_
-#define CRAFTFLEET_LEARNER_PPO_DISTILLATION_DISTILLATION_LOSS_H_
+#pragma once
 
 #include <cstddef>
 #include <vector>
@@ -94,5 +93,3 @@ DistillationLosses StepLosses(const DistillationStep& step, const NetNumbers& ou
                               absl::Span<const float> old_logits, NetNumbers* gradients);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_PPO_DISTILLATION_DISTILLATION_LOSS_H_

@@ -1,7 +1,6 @@
 // The network as distillation trains it: on the CPU in shards, or on a device. Does not include LibTorch.
 
-#ifndef CRAFTFLEET_LEARNER_PPO_DISTILLATION_DISTILLATION_NET_H_
-#define CRAFTFLEET_LEARNER_PPO_DISTILLATION_DISTILLATION_NET_H_
+#pragma once
 
 #include <vector>
 
@@ -48,5 +47,3 @@ int CodeSizeOf(const AgentSpec& spec);
 absl::Status CheckNorm(double norm);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_PPO_DISTILLATION_DISTILLATION_NET_H_

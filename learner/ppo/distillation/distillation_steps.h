@@ -1,7 +1,6 @@
 // The optimiser steps of a phase of distillation, with their random choices already made.
 
-#ifndef CRAFTFLEET_LEARNER_PPO_DISTILLATION_DISTILLATION_STEPS_H_
-#define CRAFTFLEET_LEARNER_PPO_DISTILLATION_DISTILLATION_STEPS_H_
+#pragma once
 
 #include <vector>
 
@@ -75,5 +74,3 @@ class DistillationSteps {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_PPO_DISTILLATION_DISTILLATION_STEPS_H_

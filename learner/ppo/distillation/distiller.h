@@ -1,8 +1,7 @@
 // Achievement distillation (Moon et al. 2023): every few iterations, trains the features on the achievements of the
 // episodes since the last time. Equations: DISTILLATION.md.
 
-#ifndef CRAFTFLEET_LEARNER_PPO_DISTILLATION_DISTILLER_H_
-#define CRAFTFLEET_LEARNER_PPO_DISTILLATION_DISTILLER_H_
+#pragma once
 
 #include <cstdint>
 #include <functional>
@@ -55,5 +54,3 @@ class Distiller {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_PPO_DISTILLATION_DISTILLER_H_

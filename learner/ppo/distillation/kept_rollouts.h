@@ -1,8 +1,7 @@
 // The rollouts since the last phase of distillation, the whole episodes in them, and the steps of these that unlocked
 // something (Moon et al. 2023). No LibTorch.
 
-#ifndef CRAFTFLEET_LEARNER_PPO_DISTILLATION_KEPT_ROLLOUTS_H_
-#define CRAFTFLEET_LEARNER_PPO_DISTILLATION_KEPT_ROLLOUTS_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -113,5 +112,3 @@ class KeptRollouts {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_PPO_DISTILLATION_KEPT_ROLLOUTS_H_

@@ -1,7 +1,6 @@
 // Distillation's network on the CPU.
 
-#ifndef CRAFTFLEET_LEARNER_PPO_DISTILLATION_SHARDED_NET_H_
-#define CRAFTFLEET_LEARNER_PPO_DISTILLATION_SHARDED_NET_H_
+#pragma once
 
 #include <functional>
 #include <memory>
@@ -70,5 +69,3 @@ class ShardedNet final : public DistillationNet {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_PPO_DISTILLATION_SHARDED_NET_H_

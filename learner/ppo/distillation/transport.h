@@ -1,7 +1,6 @@
 // Optimal transport between the achievements of two episodes: which of them are the same. No LibTorch.
 
-#ifndef CRAFTFLEET_LEARNER_PPO_DISTILLATION_TRANSPORT_H_
-#define CRAFTFLEET_LEARNER_PPO_DISTILLATION_TRANSPORT_H_
+#pragma once
 
 #include <cstddef>
 #include <vector>
@@ -36,5 +35,3 @@ std::vector<Match> MatchGoals(absl::Span<const float> source, absl::Span<const f
                               const TransportOptions& options, double threshold);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_PPO_DISTILLATION_TRANSPORT_H_

@@ -1,7 +1,6 @@
 // Rank 0 of the learners that share out the updates of a run.
 
-#ifndef CRAFTFLEET_LEARNER_TRAINING_DISTRIBUTED_RANK_LEADER_H_
-#define CRAFTFLEET_LEARNER_TRAINING_DISTRIBUTED_RANK_LEADER_H_
+#pragma once
 
 #include <cstdint>
 #include <functional>
@@ -52,5 +51,3 @@ class RankLeader {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_TRAINING_DISTRIBUTED_RANK_LEADER_H_

@@ -1,7 +1,6 @@
 // What rank 0 tells the other learners of a run.
 
-#ifndef CRAFTFLEET_LEARNER_TRAINING_DISTRIBUTED_RANK_MESSAGES_H_
-#define CRAFTFLEET_LEARNER_TRAINING_DISTRIBUTED_RANK_MESSAGES_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -59,5 +58,3 @@ absl::StatusOr<RankCommand> ReceiveCommand(const wire::FragmentShape& shape, con
                                            RankGroup* group);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_TRAINING_DISTRIBUTED_RANK_MESSAGES_H_

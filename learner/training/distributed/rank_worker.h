@@ -1,7 +1,6 @@
 // A learner that only computes gradients for rank 0 of its run.
 
-#ifndef CRAFTFLEET_LEARNER_TRAINING_DISTRIBUTED_RANK_WORKER_H_
-#define CRAFTFLEET_LEARNER_TRAINING_DISTRIBUTED_RANK_WORKER_H_
+#pragma once
 
 #include <functional>
 #include <memory>
@@ -55,5 +54,3 @@ class RankWorker {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_TRAINING_DISTRIBUTED_RANK_WORKER_H_

@@ -1,7 +1,6 @@
 // Collects the fragments of one iteration.
 
-#ifndef CRAFTFLEET_LEARNER_TRAINING_FRAGMENTS_FRAGMENT_COLLECTOR_H_
-#define CRAFTFLEET_LEARNER_TRAINING_FRAGMENTS_FRAGMENT_COLLECTOR_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -57,5 +56,3 @@ class FragmentCollector {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_TRAINING_FRAGMENTS_FRAGMENT_COLLECTOR_H_

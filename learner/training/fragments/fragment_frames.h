@@ -1,8 +1,7 @@
 // Turns the frames of a received fragment into pixels, so that everything behind the service sees the same bytes
 // whichever format an actor sends.
 
-#ifndef CRAFTFLEET_LEARNER_TRAINING_FRAGMENTS_FRAGMENT_FRAMES_H_
-#define CRAFTFLEET_LEARNER_TRAINING_FRAGMENTS_FRAGMENT_FRAMES_H_
+#pragma once
 
 #include <cstddef>
 #include <memory>
@@ -39,5 +38,3 @@ class FragmentFrames {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_TRAINING_FRAGMENTS_FRAGMENT_FRAMES_H_

@@ -1,7 +1,6 @@
 // Requests for a checkpoint while a run trains.
 
-#ifndef CRAFTFLEET_LEARNER_TRAINING_RECORDS_CHECKPOINT_REQUESTS_H_
-#define CRAFTFLEET_LEARNER_TRAINING_RECORDS_CHECKPOINT_REQUESTS_H_
+#pragma once
 
 #include <cstdint>
 
@@ -36,5 +35,3 @@ class CheckpointRequests {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_TRAINING_RECORDS_CHECKPOINT_REQUESTS_H_

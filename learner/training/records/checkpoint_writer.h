@@ -1,7 +1,6 @@
 // Writes a run's checkpoints when they are due, and retries failed ones.
 
-#ifndef CRAFTFLEET_LEARNER_TRAINING_RECORDS_CHECKPOINT_WRITER_H_
-#define CRAFTFLEET_LEARNER_TRAINING_RECORDS_CHECKPOINT_WRITER_H_
+#pragma once
 
 #include <cstdint>
 #include <functional>
@@ -68,5 +67,3 @@ class CheckpointWriter {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_TRAINING_RECORDS_CHECKPOINT_WRITER_H_

@@ -1,7 +1,6 @@
 // Waits while the disk of the run folder cannot be written.
 
-#ifndef CRAFTFLEET_LEARNER_TRAINING_RECORDS_DISK_WAIT_H_
-#define CRAFTFLEET_LEARNER_TRAINING_RECORDS_DISK_WAIT_H_
+#pragma once
 
 #include <absl/status/status.h>
 #include <absl/strings/string_view.h>
@@ -34,5 +33,3 @@ class DiskWait {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_TRAINING_RECORDS_DISK_WAIT_H_

@@ -1,7 +1,6 @@
 // Loads lanes from checkpoints, also those with invalid snapshots.
 
-#ifndef CRAFTFLEET_LEARNER_TRAINING_RECORDS_LANE_LOADING_H_
-#define CRAFTFLEET_LEARNER_TRAINING_RECORDS_LANE_LOADING_H_
+#pragma once
 
 #include <vector>
 
@@ -25,5 +24,3 @@ LoadedLanes LoadLanes(const v1::CheckpointState& state, const wire::FragmentShap
 v1::LaneState ToProto(const LaneRecord& record);
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_TRAINING_RECORDS_LANE_LOADING_H_

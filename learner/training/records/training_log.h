@@ -1,7 +1,6 @@
 // Writes the results of each iteration to the run folder's logs.
 
-#ifndef CRAFTFLEET_LEARNER_TRAINING_RECORDS_TRAINING_LOG_H_
-#define CRAFTFLEET_LEARNER_TRAINING_RECORDS_TRAINING_LOG_H_
+#pragma once
 
 #include <cstdint>
 #include <vector>
@@ -43,5 +42,3 @@ class TrainingLog {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_TRAINING_RECORDS_TRAINING_LOG_H_

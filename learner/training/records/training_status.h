@@ -1,7 +1,6 @@
 // What status replies and the live page show of training.
 
-#ifndef CRAFTFLEET_LEARNER_TRAINING_RECORDS_TRAINING_STATUS_H_
-#define CRAFTFLEET_LEARNER_TRAINING_RECORDS_TRAINING_STATUS_H_
+#pragma once
 
 #include <atomic>
 #include <cstdint>
@@ -87,5 +86,3 @@ class TrainingStatus {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_LEARNER_TRAINING_RECORDS_TRAINING_STATUS_H_

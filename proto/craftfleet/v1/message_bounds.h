@@ -1,7 +1,6 @@
 // What a received message may cost: checked before it is parsed. Included by the generated services.
 
-#ifndef CRAFTFLEET_PROTO_MESSAGE_BOUNDS_H_
-#define CRAFTFLEET_PROTO_MESSAGE_BOUNDS_H_
+#pragma once
 
 #include <cstddef>
 
@@ -84,5 +83,3 @@ class SerializationTraits<craftfleet::v1::ActorMessage, void>
     : public craftfleet::v1::EmptyIfUnreadable<craftfleet::v1::ActorMessage> {};
 
 }  // namespace grpc
-
-#endif  // CRAFTFLEET_PROTO_MESSAGE_BOUNDS_H_

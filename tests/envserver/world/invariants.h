@@ -1,7 +1,6 @@
 // The invariants of a world between steps, and snapshots that get past their checksum.
 
-#ifndef CRAFTFLEET_TESTS_ENVSERVER_WORLD_INVARIANTS_H_
-#define CRAFTFLEET_TESTS_ENVSERVER_WORLD_INVARIANTS_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -28,5 +27,3 @@ inline std::string Sealed(std::string snapshot) {
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_ENVSERVER_WORLD_INVARIANTS_H_

@@ -1,7 +1,6 @@
 // Fragments of random steps, for updates whose results are compared.
 
-#ifndef CRAFTFLEET_TESTS_LEARNER_PPO_RANDOM_FRAGMENTS_H_
-#define CRAFTFLEET_TESTS_LEARNER_PPO_RANDOM_FRAGMENTS_H_
+#pragma once
 
 #include <string>
 #include <vector>
@@ -39,5 +38,3 @@ inline std::vector<Fragment> RandomFragments(const PpoUpdater& updater, int lane
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_LEARNER_PPO_RANDOM_FRAGMENTS_H_

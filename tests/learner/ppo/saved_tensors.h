@@ -1,7 +1,6 @@
 // Compares what two updaters have saved.
 
-#ifndef CRAFTFLEET_TESTS_LEARNER_PPO_SAVED_TENSORS_H_
-#define CRAFTFLEET_TESTS_LEARNER_PPO_SAVED_TENSORS_H_
+#pragma once
 
 #include <cmath>
 #include <cstdint>
@@ -36,5 +35,3 @@ inline double ShareOfWay(const at::Tensor& actual, const at::Tensor& expected, c
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_LEARNER_PPO_SAVED_TENSORS_H_

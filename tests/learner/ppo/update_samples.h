@@ -1,7 +1,6 @@
 // Configurations of updates to test with, and what to look at afterwards.
 
-#ifndef CRAFTFLEET_TESTS_LEARNER_PPO_UPDATE_SAMPLES_H_
-#define CRAFTFLEET_TESTS_LEARNER_PPO_UPDATE_SAMPLES_H_
+#pragma once
 
 #include <cmath>
 #include <cstring>
@@ -104,5 +103,3 @@ inline std::map<std::string, double> FirstGradientNorms(PpoUpdater& updater, dou
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_LEARNER_PPO_UPDATE_SAMPLES_H_

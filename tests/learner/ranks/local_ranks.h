@@ -1,7 +1,6 @@
 // A group of ranks on threads of this process, connected over loopback.
 
-#ifndef CRAFTFLEET_TESTS_LEARNER_RANKS_LOCAL_RANKS_H_
-#define CRAFTFLEET_TESTS_LEARNER_RANKS_LOCAL_RANKS_H_
+#pragma once
 
 #include <functional>
 #include <memory>
@@ -49,5 +48,3 @@ inline void InGroup(int world_size, const std::function<void(RankGroup*)>& run) 
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_LEARNER_RANKS_LOCAL_RANKS_H_

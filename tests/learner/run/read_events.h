@@ -1,7 +1,6 @@
 // Reads TensorBoard's event files.
 
-#ifndef CRAFTFLEET_TESTS_LEARNER_RUN_READ_EVENTS_H_
-#define CRAFTFLEET_TESTS_LEARNER_RUN_READ_EVENTS_H_
+#pragma once
 
 #include <cstdint>
 #include <cstring>
@@ -56,5 +55,3 @@ inline std::vector<v1::Event> ReadEvents(const std::string& path) {
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_LEARNER_RUN_READ_EVENTS_H_

@@ -1,7 +1,6 @@
 // A run folder that is created and resumed, for its tests.
 
-#ifndef CRAFTFLEET_TESTS_LEARNER_RUN_RUN_FOLDER_FIXTURE_H_
-#define CRAFTFLEET_TESTS_LEARNER_RUN_RUN_FOLDER_FIXTURE_H_
+#pragma once
 
 #include <cstdint>
 #include <filesystem>
@@ -71,5 +70,3 @@ class RunFolderTest : public testing::Test {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_LEARNER_RUN_RUN_FOLDER_FIXTURE_H_

@@ -1,7 +1,6 @@
 // Episodes and checkpoints to test with.
 
-#ifndef CRAFTFLEET_TESTS_LEARNER_RUN_RUN_SAMPLES_H_
-#define CRAFTFLEET_TESTS_LEARNER_RUN_RUN_SAMPLES_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -56,5 +55,3 @@ inline Checkpoint SampleCheckpoint(int64_t iteration, double best_score = 0) {
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_LEARNER_RUN_RUN_SAMPLES_H_

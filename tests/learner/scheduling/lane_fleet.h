@@ -1,7 +1,6 @@
 // A registry of lanes with its clock, for tests of the lane scheduler.
 
-#ifndef CRAFTFLEET_TESTS_LEARNER_SCHEDULING_LANE_FLEET_H_
-#define CRAFTFLEET_TESTS_LEARNER_SCHEDULING_LANE_FLEET_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -56,5 +55,3 @@ inline std::vector<int> Lanes(const std::vector<Permit>& permits) {
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_LEARNER_SCHEDULING_LANE_FLEET_H_

@@ -1,7 +1,6 @@
 // A registry whose workers all have the same identity and build, with short forms of its calls.
 
-#ifndef CRAFTFLEET_TESTS_LEARNER_SCHEDULING_TEST_REGISTRY_H_
-#define CRAFTFLEET_TESTS_LEARNER_SCHEDULING_TEST_REGISTRY_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -110,5 +109,3 @@ class TestRegistry : public WorkerRegistry {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_LEARNER_SCHEDULING_TEST_REGISTRY_H_

@@ -1,7 +1,6 @@
 // The parts of a learner that its services use, for tests and fuzz targets.
 
-#ifndef CRAFTFLEET_TESTS_LEARNER_SERVICE_LEARNER_PARTS_H_
-#define CRAFTFLEET_TESTS_LEARNER_SERVICE_LEARNER_PARTS_H_
+#pragma once
 
 #include <cstdint>
 
@@ -41,5 +40,3 @@ struct LearnerParts {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_LEARNER_SERVICE_LEARNER_PARTS_H_

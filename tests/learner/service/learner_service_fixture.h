@@ -1,7 +1,6 @@
 // The learner's service with a real registry, called by a client.
 
-#ifndef CRAFTFLEET_TESTS_LEARNER_SERVICE_LEARNER_SERVICE_FIXTURE_H_
-#define CRAFTFLEET_TESTS_LEARNER_SERVICE_LEARNER_SERVICE_FIXTURE_H_
+#pragma once
 
 #include <cstdint>
 #include <memory>
@@ -131,5 +130,3 @@ inline v1::FragmentMessage Message(const std::string& actor, int lane, int64_t n
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_LEARNER_SERVICE_LEARNER_SERVICE_FIXTURE_H_

@@ -8,8 +8,7 @@
 // An output depends on nothing but its window and the weights: not on the other maps, the number of threads or the
 // instruction set.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_NETS_DIRECT_CONVOLUTION_DIRECT_CONVOLUTION_H_
-#define CRAFTFLEET_COMMON_AGENT_NETS_DIRECT_CONVOLUTION_DIRECT_CONVOLUTION_H_
+#pragma once
 
 #include <cstdint>
 #include <vector>
@@ -96,5 +95,3 @@ class DirectConvolution {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_NETS_DIRECT_CONVOLUTION_DIRECT_CONVOLUTION_H_

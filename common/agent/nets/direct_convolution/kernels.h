@@ -1,7 +1,6 @@
 // The kernels of a convolution as one product, compiled for AVX-512 and for AVX2. Both compute the same bits.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_NETS_DIRECT_CONVOLUTION_KERNELS_H_
-#define CRAFTFLEET_COMMON_AGENT_NETS_DIRECT_CONVOLUTION_KERNELS_H_
+#pragma once
 
 #include <cstdint>
 
@@ -30,5 +29,3 @@ const DirectKernels* FindDirectKernels();
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_NETS_DIRECT_CONVOLUTION_KERNELS_H_

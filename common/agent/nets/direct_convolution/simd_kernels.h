@@ -1,7 +1,6 @@
 // The kernels of one instruction set. Included by kernels_avx2.cc and kernels_avx512.cc alone.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_NETS_DIRECT_CONVOLUTION_SIMD_KERNELS_H_
-#define CRAFTFLEET_COMMON_AGENT_NETS_DIRECT_CONVOLUTION_SIMD_KERNELS_H_
+#pragma once
 
 #include <cstdint>
 
@@ -34,5 +33,3 @@ const DirectKernels* FindDirectKernels() {
 }
 
 }  // namespace craftfleet::CRAFTFLEET_SIMD
-
-#endif  // CRAFTFLEET_COMMON_AGENT_NETS_DIRECT_CONVOLUTION_SIMD_KERNELS_H_

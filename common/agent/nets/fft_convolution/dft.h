@@ -2,8 +2,7 @@
 // independent numbers. Real and imaginary parts are apart. The inverse, without its division by the number of points,
 // is the same transform with the parts exchanged on both sides: conj(X) = i swap(X).
 
-#ifndef CRAFTFLEET_COMMON_AGENT_NETS_FFT_CONVOLUTION_DFT_H_
-#define CRAFTFLEET_COMMON_AGENT_NETS_FFT_CONVOLUTION_DFT_H_
+#pragma once
 
 #include "common/agent/nets/simd.h"
 
@@ -206,5 +205,3 @@ struct Dft<9> {
 };
 
 }  // namespace craftfleet::CRAFTFLEET_SIMD
-
-#endif  // CRAFTFLEET_COMMON_AGENT_NETS_FFT_CONVOLUTION_DFT_H_

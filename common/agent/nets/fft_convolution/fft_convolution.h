@@ -9,8 +9,7 @@
 // Results depend on nothing but a map's own pixels and the weights: not on the other maps, the number of threads or the
 // instruction set.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_NETS_FFT_CONVOLUTION_FFT_CONVOLUTION_H_
-#define CRAFTFLEET_COMMON_AGENT_NETS_FFT_CONVOLUTION_FFT_CONVOLUTION_H_
+#pragma once
 
 #include <cstdint>
 
@@ -69,5 +68,3 @@ class FftConvolution {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_NETS_FFT_CONVOLUTION_FFT_CONVOLUTION_H_

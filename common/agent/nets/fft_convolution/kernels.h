@@ -1,7 +1,6 @@
 // The kernels of a convolution by FFT, compiled for AVX-512 and for AVX2. tiles.h and products.h say what they compute.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_NETS_FFT_CONVOLUTION_KERNELS_H_
-#define CRAFTFLEET_COMMON_AGENT_NETS_FFT_CONVOLUTION_KERNELS_H_
+#pragma once
 
 #include <cstdint>
 
@@ -43,5 +42,3 @@ const FftKernels* FindFftKernels(int64_t size);
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_COMMON_AGENT_NETS_FFT_CONVOLUTION_KERNELS_H_

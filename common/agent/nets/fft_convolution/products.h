@@ -2,8 +2,7 @@
 // product takes three real ones (Gauss): with A = a + i b and G = g + i h,
 //     T = (a + b) g,   im = T + a (h - g),   re = T - b (h + g).
 
-#ifndef CRAFTFLEET_COMMON_AGENT_NETS_FFT_CONVOLUTION_PRODUCTS_H_
-#define CRAFTFLEET_COMMON_AGENT_NETS_FFT_CONVOLUTION_PRODUCTS_H_
+#pragma once
 
 #include <cstdint>
 
@@ -212,5 +211,3 @@ inline void CorrelateSpectra(int frequencies, int tiles, int chunk_tiles, const 
 }
 
 }  // namespace craftfleet::CRAFTFLEET_SIMD
-
-#endif  // CRAFTFLEET_COMMON_AGENT_NETS_FFT_CONVOLUTION_PRODUCTS_H_

@@ -1,7 +1,6 @@
 // The table of kernels of one instruction set. Included by kernels_avx2.cc and kernels_avx512.cc alone.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_NETS_FFT_CONVOLUTION_SIMD_KERNELS_H_
-#define CRAFTFLEET_COMMON_AGENT_NETS_FFT_CONVOLUTION_SIMD_KERNELS_H_
+#pragma once
 
 #include "common/agent/nets/fft_convolution/kernels.h"
 #include "common/agent/nets/fft_convolution/products.h"
@@ -23,5 +22,3 @@ const FftKernels* FindFftKernels(int64_t size) {
 }
 
 }  // namespace craftfleet::CRAFTFLEET_SIMD
-
-#endif  // CRAFTFLEET_COMMON_AGENT_NETS_FFT_CONVOLUTION_SIMD_KERNELS_H_

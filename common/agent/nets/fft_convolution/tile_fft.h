@@ -8,8 +8,7 @@
 // N / 2, as real and imaginary part. Then columns: N frequencies each; of the two real columns half, 2 Q + 1 each.
 // Together 8 Q^2 + 2 frequencies.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_NETS_FFT_CONVOLUTION_TILE_FFT_H_
-#define CRAFTFLEET_COMMON_AGENT_NETS_FFT_CONVOLUTION_TILE_FFT_H_
+#pragma once
 
 #include "common/agent/nets/fft_convolution/dft.h"
 #include "common/agent/nets/simd.h"
@@ -188,5 +187,3 @@ struct TileFft {
 };
 
 }  // namespace craftfleet::CRAFTFLEET_SIMD
-
-#endif  // CRAFTFLEET_COMMON_AGENT_NETS_FFT_CONVOLUTION_TILE_FFT_H_

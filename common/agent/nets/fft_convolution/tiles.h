@@ -5,8 +5,7 @@
 // before the product (MultiplySpectra) and one after the other behind it. All large arrays are read in the order of
 // their addresses and written by non-temporal stores of whole cache lines: that matters as much as the arithmetic.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_NETS_FFT_CONVOLUTION_TILES_H_
-#define CRAFTFLEET_COMMON_AGENT_NETS_FFT_CONVOLUTION_TILES_H_
+#pragma once
 
 #include <cstdint>
 #include <cstring>
@@ -357,5 +356,3 @@ struct Tiles {
 };
 
 }  // namespace craftfleet::CRAFTFLEET_SIMD
-
-#endif  // CRAFTFLEET_COMMON_AGENT_NETS_FFT_CONVOLUTION_TILES_H_

@@ -1,7 +1,6 @@
 // A screen that presses given keys and remembers what it was shown.
 
-#ifndef CRAFTFLEET_TESTS_DEPLOY_CLI_SCREEN_FAKE_SCREEN_H_
-#define CRAFTFLEET_TESTS_DEPLOY_CLI_SCREEN_FAKE_SCREEN_H_
+#pragma once
 
 #include <deque>
 #include <utility>
@@ -40,5 +39,3 @@ class FakeScreen : public Screen {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_DEPLOY_CLI_SCREEN_FAKE_SCREEN_H_

@@ -1,7 +1,6 @@
 // Games of a sample policy.
 
-#ifndef CRAFTFLEET_TESTS_DEPLOY_CLI_WATCH_WATCHED_GAME_H_
-#define CRAFTFLEET_TESTS_DEPLOY_CLI_WATCH_WATCHED_GAME_H_
+#pragma once
 
 #include "deploy/cli/watch/agent_game.h"
 
@@ -16,5 +15,3 @@ inline AgentGame::Options WatchedOptions(int length = 40) {
 }
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_DEPLOY_CLI_WATCH_WATCHED_GAME_H_

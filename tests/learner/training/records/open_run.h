@@ -1,7 +1,6 @@
 // A run folder after Begin, for tests of the trainer's files.
 
-#ifndef CRAFTFLEET_TESTS_LEARNER_TRAINING_RECORDS_OPEN_RUN_H_
-#define CRAFTFLEET_TESTS_LEARNER_TRAINING_RECORDS_OPEN_RUN_H_
+#pragma once
 
 #include <memory>
 #include <string>
@@ -39,5 +38,3 @@ class OpenRun : public testing::Test {
 };
 
 }  // namespace craftfleet
-
-#endif  // CRAFTFLEET_TESTS_LEARNER_TRAINING_RECORDS_OPEN_RUN_H_
