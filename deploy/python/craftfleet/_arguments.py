@@ -8,11 +8,13 @@ import importlib.util
 import operator
 import os
 import pathlib
+import re
 from typing import Any
 
 from craftfleet import _engine
 
 MAX_INT = 2**31 - 1
+MAX_PIXELS = 2048  # of a picture, each way
 MAX_SEED = 2**63 - 1
 
 Pair = tuple[int, int]
@@ -41,9 +43,32 @@ def pair(name: str, value: Any) -> Pair:
   return integer(f"{name}[0]", parts[0], 1, MAX_INT), integer(f"{name}[1]", parts[1], 1, MAX_INT)
 
 
+def picture_size(name: str, value: Any, shared: _engine.Setup) -> Pair:
+  """The pixels of a picture. ValueError: not what the view allows, in the words of the engine, which checks when it draws."""
+  size = pair(name, value)
+  for side, pixels, cells in zip(("width", "height"), size, shared.arguments[2]):
+    if not 2 * cells <= pixels <= MAX_PIXELS:
+      raise ValueError(
+          f"{name} {value!r}: picture {side} {pixels}, want {2 * cells}..{MAX_PIXELS} pixels for a view of {cells} cells")
+  return size
+
+
+def render_mode(value: Any) -> str | None:
+  if value not in (None, "rgb_array"):
+    raise ValueError(f"render_mode {value!r}, want None or 'rgb_array'")
+  return value
+
+
 def check_env_name(env: Any) -> None:
   if not isinstance(env, str):
     raise TypeError(f"env {env!r}, want the name of an environment like 'crafter:numbers=easy-x2'")
+  _check_text("env", env)
+
+
+def _check_text(name: str, value: str) -> None:
+  """Refuses what the engine cannot take: surrogates, as which Python reads names of other encodings, and NUL."""
+  if re.search("[\0\ud800-\udfff]", value):
+    raise ValueError(f"{name} {value!r}, want a name in UTF-8 without NUL")
 
 
 def check_snapshot(name: str, value: Any) -> None:
@@ -64,6 +89,7 @@ def texture_folder(textures: str | os.PathLike[str] | None) -> str:
     folder = pathlib.Path(textures).expanduser().absolute()
   except TypeError:
     raise TypeError(f"textures {textures!r}, want None, 'crafter' or a folder") from None
+  _check_text("textures", str(folder))
   if folder.exists() and not folder.is_dir():
     raise NotADirectoryError(f"textures {str(folder)!r}, want a folder of PNG files")
   return str(folder)

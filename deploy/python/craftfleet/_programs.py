@@ -25,7 +25,13 @@ LOG = re.compile(r"\d\d:\d\d:\d\d\.\d+ \w+: ")  # how a line of the log begins
 
 def flags(**values: Any) -> list[str]:
   """`--name=value` of each value that is not None."""
-  return [f"--{name}={str(value).lower() if isinstance(value, bool) else value}" for name, value in values.items() if value is not None]
+  return [f"--{name}={_text(value)}" for name, value in values.items() if value is not None]
+
+
+def _text(value: Any) -> str:
+  if isinstance(value, bool):
+    return str(value).lower()
+  return os.fsdecode(value) if isinstance(value, (bytes, os.PathLike)) else str(value)
 
 
 def start(name: str, arguments: list[str], before: Sequence[str] = (), **options: Any) -> subprocess.Popen:
@@ -46,6 +52,8 @@ def run(name: str, progress: bool, /, **values: Any) -> None:
   ValueError: the program refused what it was given; RuntimeError: it failed later. Both carry its message. KeyboardInterrupt stops
   the program as Ctrl-C does, a second one at once, and is raised when it has ended. When Python ends otherwise, SIGTERM stops it.
   """
+  if values.get("log_format") not in (None, "text"):
+    raise ValueError(f"log_format {values['log_format']!r}, want 'text', of which Python shows the log and the progress")
   process = start(
       name, flags(**{"log_level": "warning", **values}), _until_python_ends(), stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
       stderr=subprocess.PIPE, text=True, errors="replace")
@@ -59,8 +67,10 @@ def run(name: str, progress: bool, /, **values: Any) -> None:
       display.show(line, is_error)
   code = process.wait()
   if code != 0:
-    refused = not began and code > 0  # negative: a signal ended it
-    raise (ValueError if refused else RuntimeError)(failure(name, code, errors))
+    message = failure(name, code, errors)
+    # Negative: a signal ended it. It prints a run's name before it listens: a message about a flag is a refusal even then.
+    refused = code > 0 and (not began or message.startswith("--"))
+    raise (ValueError if refused else RuntimeError)(message)
 
 
 def failure(name: str, code: int, errors: list[str]) -> str:

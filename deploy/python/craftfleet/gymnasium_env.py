@@ -26,10 +26,8 @@ class GymnasiumEnv(Playable, gymnasium.Env[np.ndarray, int]):
       length: int | None = 10000, textures: str | os.PathLike[str] | None = None, render_mode: str | None = None,
       render_size: Any = None) -> None:
     Playable.__init__(self, env, area, view, size, reward, length, textures, seed=0)
-    if render_mode not in (None, "rgb_array"):
-      raise ValueError(f"render_mode {render_mode!r}, want None or 'rgb_array'")
-    self.render_mode = render_mode
-    self._render_size = None if render_size is None else _arguments.pair("render_size", render_size)
+    self.render_mode = _arguments.render_mode(render_mode)
+    self._render_size = None if render_size is None else _arguments.picture_size("render_size", render_size, self._setup)
 
   def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict[str, Any]]:
     """Starts the next episode, or with a seed its first one; returns observation and info.

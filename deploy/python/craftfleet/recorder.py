@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import datetime
 import errno
 import json
 import os
 import pathlib
+import socket
+import subprocess
 import tempfile
 import weakref
 from collections.abc import Iterator
@@ -16,7 +19,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from craftfleet import _arguments
+from craftfleet import _arguments, _programs
 
 
 class Recorder(gymnasium.Wrapper, gymnasium.utils.RecordConstructorArgs):
@@ -26,7 +29,7 @@ class Recorder(gymnasium.Wrapper, gymnasium.utils.RecordConstructorArgs):
   latter are named by time, number of achievements and length. Several recorders may share a folder. The game is the same with and
   without a recorder. For craftfleet.Env, where it has crafter's interface, and for Gymnasium environments of this package, where it
   is a gymnasium.Wrapper. Steps after the end of an episode are not recorded, nor is the rest of an episode whose environment was
-  restored from a snapshot.
+  restored from a snapshot. With videos, a forked process records from its next episode on.
 
   Args:
     directory: the folder; None: nothing is recorded.
@@ -86,6 +89,9 @@ class _CrafterRecorder:
       raise AttributeError(name)
     return getattr(self._env, name)
 
+  def __copy__(self) -> Any:
+    return copy.deepcopy(self)  # as the environment's
+
   def reset(self) -> np.ndarray:
     """The environment's reset(). An episode that has not ended is dropped."""
     observation = self._env.reset()
@@ -115,9 +121,9 @@ class _Files:
     if not hasattr(env, "restores"):
       raise TypeError(f"{type(env).__name__} is no environment of craftfleet, want craftfleet.Env or one of gymnasium.make")
     self._env, self._restores = env, env.restores
-    self._folder = pathlib.Path(directory or ".").expanduser()
+    self._folder = _programs.absolute(directory or ".")
     self._save_stats, self._save_table = bool(directory and save_stats), bool(directory and save_episode)
-    self._video = _Video(env, _arguments.pair("video_size", video_size)) if directory and save_video else None
+    self._video = _Video(env, video_size) if directory and save_video else None
     self._first: np.ndarray | None = None  # the observation of the reset; None: no episode that is recorded
     if directory:
       self._folder.mkdir(parents=True, exist_ok=True)
@@ -132,7 +138,8 @@ class _Files:
       self._rows: list[dict[str, Any]] = []
 
   def add(self, action: Any, observation: np.ndarray, done: bool, info: dict[str, Any]) -> None:
-    if self._env.restores != self._restores:  # what follows is of another episode
+    # What follows is of another episode, or of a fork, whose video is that of its parent.
+    if self._env.restores != self._restores or self._video is not None and self._video.is_inherited():
       self.drop()
     if self._first is None:
       return
@@ -196,48 +203,66 @@ def _append_line(path: pathlib.Path, stats: dict[str, Any]) -> None:
 
 
 class _Video:
-  """A video, written while the episode is played: ten steps a second."""
+  """A video, written by ffmpeg while the episode is played: ten steps a second."""
 
-  def __init__(self, env: Any, size: _arguments.Pair) -> None:
+  def __init__(self, env: Any, size: Any) -> None:
+    self._env = env
+    self._size = _arguments.picture_size("video_size", size, env._setup)  # pylint: disable=protected-access
     try:
-      import imageio.v2 as imageio  # optional, and slow to import
-      import imageio_ffmpeg  # what imageio writes videos with
+      import imageio_ffmpeg  # optional
     except ImportError as error:
       raise ImportError(f"save_video=True: {error}, want: pip install 'imageio[ffmpeg]', or save_video=False") from None
-    self._open, self._count = imageio.get_writer, imageio_ffmpeg.count_frames_and_secs
-    self._env, self._size = env, size
-    self._file = self._path = None
+    self._ffmpeg, self._count = imageio_ffmpeg.get_ffmpeg_exe(), imageio_ffmpeg.count_frames_and_secs
+    self._owner = os.getpid()
+    self._abandon: weakref.finalize | None = None  # of the video that is being written
 
   def __reduce__(self) -> Any:
     raise TypeError("a recorder of videos cannot be copied or pickled, want a new one, or save_video=False")
 
   def begin(self, folder: pathlib.Path) -> None:
-    self._path = _unfinished(folder, ".mp4")
-    self._remove = weakref.finalize(self, _remove, self._path, os.getpid())  # programs for crafter close no recorder
-    self._file = self._open(self._path)
+    self._owner = os.getpid()
+    width, height = self._size
+    with contextlib.ExitStack() as undo:
+      self._path = _unfinished(folder, ".mp4")
+      undo.callback(self._path.unlink)
+      # A socket, because a pipe would not end while a fork has a copy of it.
+      self._pictures, pictures = socket.socketpair()
+      undo.enter_context(self._pictures)
+      with pictures:
+        for end in (self._pictures, pictures):
+          end.setblocking(True)  # whatever socket.setdefaulttimeout() says
+        self._encoder = subprocess.Popen(  # pylint: disable=consider-using-with  # _abandon_video() ends it
+            [self._ffmpeg, "-y", "-v", "warning",
+             "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", "10", "-i", "-",
+             "-vf", "scale=ceil(iw/16)*16:ceil(ih/16)*16", "-pix_fmt", "yuv420p", self._path],
+            stdin=pictures, stdout=subprocess.DEVNULL, start_new_session=True)  # Ctrl-C reaches this process alone
+      undo.pop_all()
+    # Programs for crafter close no recorder.
+    self._abandon = weakref.finalize(self, _abandon_video, self._owner, self._pictures, self._encoder, self._path)
     self.add()
 
   def add(self) -> None:
-    self._file.append_data(self._env.picture(self._size))
+    try:
+      self._pictures.sendall(self._env.picture(self._size))
+    except ConnectionError as error:
+      raise OSError(f"{self._path}: ffmpeg has ended early ({error}), see what it printed") from None
 
   def save(self, path: pathlib.Path, pictures: int) -> None:
-    self._file.close()
-    self._file = None
+    self._pictures.shutdown(socket.SHUT_WR)
+    self._encoder.wait()
     with contextlib.suppress(RuntimeError):  # the video is damaged
       if self._count(str(self._path))[0] == pictures:
         self._path.rename(path)
-        self._remove.detach()
-        self._path = None
         return
     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))  # which ffmpeg does not report
 
+  def is_inherited(self) -> bool:
+    """Whether another process has begun it, of which this one is a fork."""
+    return os.getpid() != self._owner
+
   def drop(self) -> None:
-    if self._file is not None:
-      with contextlib.suppress(OSError):
-        self._file.close()
-    if self._path is not None:
-      self._remove()
-    self._file = self._path = None
+    if self._abandon is not None:
+      self._abandon()
 
 
 def _row(action: Any, observation: np.ndarray, done: bool, info: dict[str, Any]) -> dict[str, Any]:
@@ -262,8 +287,11 @@ def _write_table(path: pathlib.Path, first: np.ndarray, rows: list[dict[str, Any
     unfinished.unlink(missing_ok=True)
 
 
-def _remove(path: pathlib.Path, owner: int) -> None:
+def _abandon_video(owner: int, pictures: socket.socket, encoder: subprocess.Popen, path: pathlib.Path) -> None:
+  pictures.close()
   if os.getpid() == owner:  # not in a fork
+    encoder.kill()
+    encoder.wait()
     path.unlink(missing_ok=True)
 
 

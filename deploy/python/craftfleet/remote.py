@@ -10,6 +10,7 @@ import os
 import pathlib
 import queue
 import re
+import sys
 import threading
 import types
 import urllib.parse
@@ -35,16 +36,12 @@ REWARDS = np.array([tenths / 10.0 if tenths < 2 else (tenths - 10) / 10.0 + 1.0 
 
 @dataclasses.dataclass(frozen=True)
 class Tls:
-  """Files that secure the connections: as the flags --tls_ca, --tls_cert, --tls_key, --tls_server_name and --token_file.
-
-  The certificate and its key are for servers that ask for them; the token file has one line.
-  """
+  """Files that secure the connections: as the flags --tls_ca, --tls_cert, --tls_key and --tls_server_name."""
 
   ca: str | os.PathLike[str]
-  cert: str | os.PathLike[str] | None = None
-  key: str | os.PathLike[str] | None = None
+  cert: str | os.PathLike[str]
+  key: str | os.PathLike[str]
   server_name: str | None = None
-  token_file: str | os.PathLike[str] | None = None
 
 
 class RemoteVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
@@ -73,8 +70,8 @@ class RemoteVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndar
   def __init__(
       self, addresses: str | Sequence[str], num_envs: int, *, env: str = "crafter", size: int = 64, length: int = 10000,
       reward: bool = True, details: bool = False, tls: Tls | None = None, timeout: float = 30.0) -> None:
-    self._sessions: list[_Session] = []
     self._owner, self._busy, self._asking = os.getpid(), threading.Lock(), False
+    self._sessions: list[_Session] = []
     self.num_envs = _arguments.integer("num_envs", num_envs, 1, 1 << 20)
     pixels = _arguments.integer("size", size, 18, 1024)
     steps = _arguments.integer("length", length, 1, _arguments.MAX_INT)
@@ -130,6 +127,11 @@ class RemoteVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndar
       return
     for session in self._sessions:
       session.close()
+
+  def __del__(self) -> None:
+    # When Python ends, its threads have stopped, and closing would wait for them; the process takes its connections along.
+    if hasattr(self, "_sessions") and not sys.is_finalizing():
+      self.close()
 
   def __reduce__(self) -> Any:
     raise TypeError("a RemoteVectorEnv has connections and cannot be copied or pickled, want a new one with the same arguments")
@@ -204,6 +206,8 @@ class RemoteVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndar
 
   def _exchange(self) -> list[tuple[_Session, Any]]:
     """Sends the requests that the sessions have, then awaits the replies."""
+    for session in self._sessions:
+      session.check()  # after an error, replies of the others may be to an earlier request
     asked = [session for session in self._sessions if session.send()]
     return [(session, session.receive()) for session in asked]
 
@@ -274,11 +278,11 @@ class _Session:
     self._request: Any = None
     self._requests: queue.SimpleQueue[Any] = queue.SimpleQueue()
     self._replies: queue.SimpleQueue[Any] = queue.SimpleQueue()
-    self._channel, metadata = _channel(self._grpc, address, tls)
+    self._channel = _channel(self._grpc, address, tls)
     play = self._channel.stream_stream(
         "/craftfleet.v1.EnvironmentService/Play", request_serializer=self._messages.PlayRequest.SerializeToString,
         response_deserializer=self._messages.PlayReply.FromString)
-    self._call = play(iter(self._requests.get, None), metadata=metadata)
+    self._call = play(iter(self._requests.get, None))
     threading.Thread(target=self._read, name=f"replies of {address}", daemon=True).start()
 
   @property
@@ -310,16 +314,20 @@ class _Session:
     return True
 
   def receive(self) -> Any:
-    if self._error is None:
-      try:
-        reply = self._replies.get(timeout=self._timeout)
-      except queue.Empty:
-        self._call.cancel()
-        reply = TimeoutError(f"{self.address}: no answer within {self._timeout:g} s")
-      if not isinstance(reply, Exception):
-        return reply
+    try:
+      reply = self._replies.get(timeout=self._timeout)
+    except queue.Empty:
+      self._call.cancel()
+      reply = TimeoutError(f"{self.address}: no answer within {self._timeout:g} s")
+    if isinstance(reply, Exception):
       self._error = reply
-    raise self._error
+      raise reply
+    return reply
+
+  def check(self) -> None:
+    """Raises the session's error, if it has one."""
+    if self._error is not None:
+      raise self._error
 
   def close(self) -> None:
     self._requests.put(None)
@@ -401,21 +409,15 @@ def _messages() -> Any:
       for name in ("PlayRequest", "PlayReply")})
 
 
-def _channel(grpc: Any, address: str, tls: Tls | None) -> tuple[Any, list[tuple[str, str]]]:
-  """A channel, and what each call adds."""
+def _channel(grpc: Any, address: str, tls: Tls | None) -> Any:
   # The proxy of http_proxy is one for web pages.
   options = [("grpc.max_receive_message_length", MAX_MESSAGE_BYTES), ("grpc.max_send_message_length", MAX_MESSAGE_BYTES),
              ("grpc.enable_http_proxy", 0)]
   if address.startswith("unix:"):
     address = f"unix:{urllib.parse.quote(address[len('unix:'):])}"  # in a URI, a path may not have all characters
   if tls is None:
-    return grpc.insecure_channel(address, options), []
-  if (tls.cert is None) != (tls.key is None):
-    raise ValueError(f"Tls(cert={tls.cert!r}, key={tls.key!r}), want both or neither")
+    return grpc.insecure_channel(address, options)
   if tls.server_name is not None:
     options.append(("grpc.ssl_target_name_override", tls.server_name))
-  ca, key, cert = (None if file is None else pathlib.Path(file).read_bytes() for file in (tls.ca, tls.key, tls.cert))
-  metadata = []
-  if tls.token_file is not None:
-    metadata.append(("authorization", f"Bearer {pathlib.Path(tls.token_file).read_text(encoding='utf-8').strip()}"))
-  return grpc.secure_channel(address, grpc.ssl_channel_credentials(ca, key, cert), options), metadata
+  ca, key, cert = (pathlib.Path(file).read_bytes() for file in (tls.ca, tls.key, tls.cert))
+  return grpc.secure_channel(address, grpc.ssl_channel_credentials(ca, key, cert), options)

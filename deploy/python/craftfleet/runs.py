@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
+import operator
 import os
 import pathlib
 import struct
@@ -66,7 +68,7 @@ def load_weights(run: str | os.PathLike[str]) -> dict[str, np.ndarray]:
     size = int.from_bytes(content[:8], "little")
     header, data = json.loads(content[8:8 + size]), memoryview(content)[8 + size:]
     return {name: _tensor(tensor, data) for name, tensor in header.items() if name != "__metadata__"}
-  except (AttributeError, KeyError, TypeError, ValueError) as error:
+  except (AttributeError, KeyError, RecursionError, TypeError, ValueError) as error:
     raise ValueError(f"{path}: not the weights of a checkpoint ({error}), want a safetensors file of float32") from None
 
 
@@ -84,7 +86,7 @@ def load_curves(run: str | os.PathLike[str]) -> pandas.DataFrame:
   for event in _records(path.read_bytes()):
     try:
       step, values = _numbers(event)
-    except (IndexError, KeyError, TypeError, UnicodeDecodeError, struct.error):
+    except (AttributeError, IndexError, KeyError, TypeError, UnicodeDecodeError, struct.error):
       raise ValueError(f"{path}: damaged, want the events of a run") from None
     rows.setdefault(step, {}).update(values)
   steps = sorted(step for step, row in rows.items() if row)
@@ -94,7 +96,7 @@ def load_curves(run: str | os.PathLike[str]) -> pandas.DataFrame:
 def _numbers(event: bytes) -> tuple[int, dict[str, float]]:
   """The step of an event, and its number of each tag."""
   fields = list(_fields(event))
-  step = next((value for number, value in fields if number == 2), 0)
+  step = operator.index(next((value for number, value in fields if number == 2), 0))
   values = [dict(_fields(value)) for number, summary in fields if number == 5 for _, value in _fields(summary)]
   # A value's field 1 is its tag, field 2 a number; histograms and pictures have others.
   return step, {value[1].decode(): struct.unpack("<f", value[2])[0] for value in values if 2 in value}
@@ -140,4 +142,7 @@ def _tensor(tensor: dict, data: memoryview) -> np.ndarray:
   begin, end = tensor["data_offsets"]
   if tensor["dtype"] != "F32" or not 0 <= begin <= end <= len(data):
     raise ValueError(f"a tensor of {tensor['dtype']} at {begin}..{end} of {len(data)} bytes")
-  return np.frombuffer(data[begin:end], "<f4").reshape(tensor["shape"]).astype(np.float32)
+  shape = tensor["shape"]
+  if any(operator.index(length) < 0 for length in shape) or 4 * math.prod(shape) != end - begin:
+    raise ValueError(f"a tensor of shape {shape} in {end - begin} bytes")
+  return np.frombuffer(data[begin:end], "<f4").reshape(shape).astype(np.float32)

@@ -124,7 +124,7 @@ def evaluate(
     raise ValueError("checkpoint: evaluate() plays the newest of `run`, which may also be the folder of one of its checkpoints")
   if "protocol" in flags:
     raise ValueError("protocol: it may have several results, and evaluate() returns one; run `craftfleet eval --protocol=final`")
-  checkpoint = _programs.absolute(run)
+  checkpoint = pathlib.Path(os.path.normpath(_programs.absolute(run)))  # without "..", for its parents
   is_run = checkpoint.parent.name != "checkpoints" or (checkpoint / "config.txt").exists()
   folder = Run(checkpoint if is_run else checkpoint.parents[1]).folder
   with tempfile.TemporaryDirectory(prefix="craftfleet-") as temporary:

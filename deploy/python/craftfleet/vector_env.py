@@ -18,8 +18,8 @@ _AUTORESET = {
     AutoresetMode.SAME_STEP: _engine.Autoreset.SAME_STEP,
     AutoresetMode.DISABLED: _engine.Autoreset.DISABLED,
 }
-# What a copy makes anew: the engine's arrays, and a space that is larger than the games.
-_MADE_ANEW = ("_batch", "_observations", "_infos", "_ends", "_everyone", "observation_space")
+# The engine's arrays, which a copy makes anew.
+_MADE_ANEW = ("_batch", "_observations", "_infos", "_ends", "_everyone")
 MAX_LANES = 1 << 20
 MAX_THREADS = 1 << 10
 
@@ -54,9 +54,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     self._arguments = {name: value for name, value in locals().items() if name not in ("self", "__class__")}
     self.num_envs = _arguments.integer("num_envs", num_envs, 1, MAX_LANES)
     self.autoreset_mode = _autoreset_mode(autoreset_mode)
-    if render_mode not in (None, "rgb_array"):
-      raise ValueError(f"render_mode {render_mode!r}, want None or 'rgb_array'")
-    self.render_mode = render_mode
+    self.render_mode = _arguments.render_mode(render_mode)
     self.metadata = {"render_modes": ["rgb_array"], "render_fps": 10, "autoreset_mode": self.autoreset_mode}
     if max_episode_steps is not None:
       most = _arguments.integer("max_episode_steps", max_episode_steps, 1, 10**9)
@@ -64,7 +62,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     setup = _arguments.setup(env, area, view, size, length, textures)
     self._arguments["textures"] = setup.arguments[5] or None  # a copy may be made in another folder
     width, height = setup.arguments[3]
-    self._render_size = (width, height) if render_size is None else _arguments.pair("render_size", render_size)
+    self._render_size = (width, height) if render_size is None else _arguments.picture_size("render_size", render_size, setup)
     self._copy = bool(copy)
     self._batch = _engine.Batch(
         setup, self.num_envs, _arguments.integer("threads", threads, 1, MAX_THREADS), _AUTORESET[self.autoreset_mode],
@@ -75,7 +73,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     self._ends = (self._batch.rewards, self._batch.terminated, self._batch.truncated)
     self.single_observation_space = gymnasium.spaces.Box(0, 255, (height, width, 3), np.uint8)
     self.single_action_space = gymnasium.spaces.Discrete(len(_engine.ACTIONS))
-    self.observation_space = gymnasium.vector.utils.batch_space(self.single_observation_space, self.num_envs)
+    self.observation_space = self._made_space = gymnasium.vector.utils.batch_space(self.single_observation_space, self.num_envs)
     self.action_space = gymnasium.vector.utils.batch_space(self.single_action_space, self.num_envs)
 
   def reset(
@@ -143,11 +141,15 @@ class VectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
   def __getstate__(self) -> dict[str, Any]:
     snapshots = {lane: self._batch.save(lane) for lane in range(self.num_envs) if self._batch.started(lane)}
-    attributes = {name: value for name, value in self.__dict__.items() if name not in _MADE_ANEW}
-    return {"attributes": attributes, "snapshots": snapshots}
+    # Without the space that it has made, which is larger than the games: its random numbers are enough.
+    attributes = {
+        name: value for name, value in self.__dict__.items() if name not in _MADE_ANEW and value is not self._made_space}
+    random = self._made_space._np_random  # pylint: disable=protected-access
+    return {"attributes": attributes, "snapshots": snapshots, "space_random": random}
 
   def __setstate__(self, state: dict[str, Any]) -> None:
     VectorEnv.__init__(self, **state["attributes"]["_arguments"])
+    self._made_space._np_random = state["space_random"]  # pylint: disable=protected-access
     self.__dict__.update(state["attributes"])
     for lane, snapshot in state["snapshots"].items():
       self._batch.restore(lane, snapshot)

@@ -111,7 +111,7 @@ absl::Status Batch::Restore(int lane, absl::string_view snapshot) {
   CRAFTFLEET_RETURN_IF_ERROR(game.Restore(snapshot));
   game.Redraw(setup_->renderer(), rows_.frame(lane));
   rows_.Fill(lane, game, 0);
-  SetEnd(lane, game.end());
+  SetEnd(lane, game.world().end());
   return absl::OkStatus();
 }
 
@@ -134,7 +134,7 @@ absl::Status Batch::CheckStep() const {
       return absl::InvalidArgumentError(absl::StrCat("actions[", lane, "] ", action, ", want 0..", kNumActions - 1));
     }
     CRAFTFLEET_RETURN_IF_ERROR(CheckStarted(lane));
-    if (options_.autoreset == Autoreset::kDisabled && lanes_[lane].end() != StepEnd::kNone) {
+    if (options_.autoreset == Autoreset::kDisabled && lanes_[lane].world().end() != StepEnd::kNone) {
       return absl::FailedPreconditionError(
           absl::StrCat("lane ", lane, ": its episode is over, want reset(options={\"reset_mask\": ...}) first"));
     }
@@ -152,7 +152,7 @@ void Batch::ResetLane(int lane) {
 void Batch::StepLane(int lane, Action action) {
   Lane& game = lanes_[lane];
   // Not from terminated_ and truncated_: callers get these arrays, and may write to them.
-  if (options_.autoreset == Autoreset::kNextStep && game.end() != StepEnd::kNone) return ResetLane(lane);
+  if (options_.autoreset == Autoreset::kNextStep && game.world().end() != StepEnd::kNone) return ResetLane(lane);
   const StepOutcome outcome = game.Step(action, rows_.frame(lane));
   rows_.Fill(lane, game, outcome.reward);
   step_rewards_[lane] = options_.reward ? outcome.reward : 0;

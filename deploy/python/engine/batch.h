@@ -29,7 +29,7 @@ enum class Autoreset {
 };
 
 // Thread-compatible: a call while another thread is in one fails, and changes nothing. A forked process may use its
-// copy.
+// copy, unless another thread was in a call at the fork: its games may be half stepped, and every call fails.
 class Batch {
  public:
   struct Options {

@@ -53,12 +53,6 @@ StepOutcome Lane::Step(Action action, absl::Span<uint8_t> frame) {
   return outcome;
 }
 
-StepEnd Lane::end() const {
-  if (world_->player().health() <= 0) return StepEnd::kTerminated;
-  const int length = world_->options().length;
-  return length > 0 && world_->step() >= length ? StepEnd::kTruncated : StepEnd::kNone;
-}
-
 void Lane::Redraw(const Renderer& renderer, absl::Span<uint8_t> frame) const {
   RandomStream stream = before_picture_;
   renderer.Render(*world_, &stream, frame);

@@ -32,8 +32,6 @@ class Lane {
   bool started() const { return world_.has_value(); }
   // After Reset().
   const World& world() const { return *world_; }
-  // How the episode has ended so far.
-  StepEnd end() const;
   const std::shared_ptr<const Setup>& setup() const { return setup_; }
   int64_t seed() const { return seed_; }
 

@@ -10,14 +10,6 @@ namespace {
 
 constexpr size_t kMaxOtherSizes = 8;
 
-RenderOptions PictureOf(Setup::Pair size, bool inventory) {
-  RenderOptions picture;
-  picture.width = size[0];
-  picture.height = size[1];
-  picture.inventory = inventory;
-  return picture;
-}
-
 }  // namespace
 
 absl::StatusOr<std::shared_ptr<Setup>> Setup::Create(const Options& options) {
@@ -34,7 +26,7 @@ absl::StatusOr<std::shared_ptr<Setup>> Setup::Create(const Options& options) {
     CRAFTFLEET_ASSIGN_OR_RETURN(textures, Textures::Load(options.textures));
   }
   CRAFTFLEET_ASSIGN_OR_RETURN(std::shared_ptr<const Renderer> renderer,
-                              Renderer::Create(*textures, world, PictureOf(options.size, name.inventory)));
+                              Renderer::Create(*textures, world, {options.size[0], options.size[1], name.inventory}));
   return std::shared_ptr<Setup>(new Setup(options, name.inventory, std::move(textures), std::move(renderer)));
 }
 
@@ -44,7 +36,7 @@ absl::StatusOr<std::shared_ptr<const Renderer>> Setup::RendererOf(Pair size) con
   const auto found = others_.find(size);
   if (found != others_.end()) return found->second;
   CRAFTFLEET_ASSIGN_OR_RETURN(std::shared_ptr<const Renderer> renderer,
-                              Renderer::Create(*textures_, world(), PictureOf(size, inventory_)));
+                              Renderer::Create(*textures_, world(), {size[0], size[1], inventory_}));
   if (others_.size() == kMaxOtherSizes) others_.clear();
   others_[size] = renderer;
   return renderer;

@@ -100,13 +100,18 @@ TEST(Batch, CallsFromSeveralThreadsAreRefusedOrDoneWhole) {
 TEST(Batch, AForkPlaysOnWithThreadsOfItsOwn) {
   if (kThreadSanitizer) GTEST_SKIP() << "ThreadSanitizer does not support threads after a fork";
   Batch batch(SmallSetup(0), OptionsOf(4, 3));
-  ResetAll(&batch);
-  Play(&batch, 2);
+  Batch alone(SmallSetup(0), OptionsOf(4, 1));
+  for (Batch* each : {&batch, &alone}) {
+    ResetAll(each);
+    Play(each, 2);
+  }
+  const std::vector<uint8_t> expected = Play(&alone, 2);
   const pid_t child = fork();
-  if (child == 0) _exit(Play(&batch, 2).empty() ? 1 : 0);
+  if (child == 0) _exit(Play(&batch, 2) == expected ? 0 : 1);
   int status = -1;
   ASSERT_EQ(waitpid(child, &status, 0), child);
   EXPECT_EQ(status, 0);
+  EXPECT_EQ(Play(&batch, 2), expected);
 }
 
 TEST(Lane, ARestoredGameIsDrawnAndContinuesAlike) {

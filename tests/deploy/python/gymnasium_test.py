@@ -35,6 +35,18 @@ def play(env, count, seed=0):
   return out
 
 
+class Rows(craftfleet.GymnasiumEnv):
+  """As a user derives a class, with observations of its own."""
+
+  def __init__(self):
+    super().__init__()
+    self.observation_space = gymnasium.spaces.Box(0, 255, (64,), np.float32)
+
+  def reset(self, **options):
+    observation, info = super().reset(**options)
+    return observation.mean((1, 2), np.float32), info
+
+
 class Checkers(package.PackageCase):
 
   def test_gymnasiums_checker_passes_without_a_warning(self):
@@ -114,12 +126,23 @@ class Environment(package.PackageCase):
     for clone in (*clones, other):
       self.assertEqual(play(clone, 300, seed=1), expected)
 
+  def test_clones_have_the_space_of_a_subclass_and_the_seeds_of_spaces(self):
+    rows, seeded = Rows(), craftfleet.GymnasiumEnv()
+    seeded.observation_space.seed(4)
+    for clone in (copy.copy, copy.deepcopy, lambda original: pickle.loads(pickle.dumps(original))):
+      again = clone(clone(rows))
+      self.assertEqual(again.observation_space, rows.observation_space)
+      self.assertIn(again.reset(seed=0)[0], again.observation_space)
+      self.assertTrue(np.array_equal(clone(seeded).observation_space.sample(), copy.deepcopy(seeded.observation_space).sample()))
+
   def test_errors_are_clear(self):
     env = gymnasium.make(NAMES[0]).unwrapped
     self.assert_refused(ValueError, "seed -1, want 0..", env.reset, seed=-1)
     self.assert_refused(TypeError, "seed 'a', want an integer", env.reset, seed="a")
     self.assert_refused(ValueError, "render_mode 'human', want None or 'rgb_array'", craftfleet.GymnasiumEnv, render_mode="human")
     self.assert_refused(ValueError, "render_size[0] 0, want 1..", craftfleet.GymnasiumEnv, render_size=(0, 5))
+    self.assert_refused(ValueError, "render_size (64, 5): picture height 5, want 18..2048 pixels", craftfleet.GymnasiumEnv,
+                        render_size=(64, 5))
     self.assert_refused(ValueError, 'unknown game "minecraft", want "crafter"', craftfleet.GymnasiumEnv, env="minecraft")
 
   def test_spawned_workers_find_the_environment_by_the_id_with_the_package(self):

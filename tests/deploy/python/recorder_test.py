@@ -1,5 +1,7 @@
 """craftfleet.Recorder writes what the original's writes; score() and load_weights() read runs."""
 
+import contextlib
+import copy
 import gzip
 import importlib.util
 import json
@@ -11,6 +13,8 @@ import sys
 import tempfile
 import threading
 import unittest
+import unittest.mock
+import warnings
 
 from tests.deploy.python import package
 from tests.fakes import full_disk, python_case
@@ -40,6 +44,15 @@ def play(env, episodes):
     while not done:
       _, _, *ends, _ = env.step((7 * step + episode) % 17)
       done, step = any(ends), step + 1
+
+
+def with_header(header):
+  """A safetensors file of 8 bytes."""
+  return len(header).to_bytes(8, "little") + header + bytes(8)
+
+
+def tensor(shape):
+  return b'{"w": {"dtype": "F32", "data_offsets": [0, 8], "shape": %s}}' % shape
 
 
 class Recorder(FolderCase):
@@ -87,6 +100,68 @@ class Recorder(FolderCase):
     code = f"import craftfleet; env = craftfleet.Recorder(craftfleet.Env(), {str(self.folder)!r}); env.reset(); env.step(0)"
     subprocess.run([sys.executable, "-c", code], check=True, timeout=120, env={**os.environ, "PYTHONPATH": str(package.SITE)})
     self.assertEqual(list(self.folder.iterdir()), [])
+
+  @unittest.skipUnless(importlib.util.find_spec("imageio_ffmpeg"), "no imageio[ffmpeg], want: deploy/install-deps.sh --tests")
+  def test_a_fork_during_an_episode_neither_holds_up_nor_changes_its_video(self):
+    import imageio_ffmpeg  # pylint: disable=import-outside-toplevel
+    warnings.simplefilter("ignore", DeprecationWarning)  # newer Pythons warn of a fork beside any thread
+    env = craftfleet.Recorder(craftfleet.Env(**ARGUMENTS), self.folder, save_episode=False, video_size=144)
+    env.reset()
+    stopped, stop = os.pipe()
+    played, tell = os.pipe()
+    if (child := os.fork()) == 0:
+      try:
+        os.close(stop)
+        for _ in range(15):
+          env.step(1)
+        os.write(tell, b"x")
+        os.read(stopped, 1)  # lives on until the test ends
+      finally:
+        os._exit(0)
+    for end in (stopped, played):
+      self.addCleanup(os.close, end)
+    self.addCleanup(os.waitpid, child, 0)
+    self.addCleanup(os.close, stop)
+    os.close(tell)
+    self.assertEqual(os.read(played, 1), b"x", "the fork has failed")
+    for _ in range(15):
+      env.step(0)
+    self.assertEqual(craftfleet.score(self.folder).episodes, 1)
+    (video,) = self.folder.glob("*.mp4")
+    self.assertEqual(imageio_ffmpeg.count_frames_and_secs(video)[0], 16)
+    self.assertEqual(len(list(self.folder.iterdir())), 2, "nothing else is left")
+
+  @unittest.skipUnless(importlib.util.find_spec("imageio_ffmpeg"), "no imageio[ffmpeg], want: deploy/install-deps.sh --tests")
+  def test_bad_video_sizes_and_an_ffmpeg_that_does_not_start_leave_no_files(self):
+    for kind in (craftfleet.Env, craftfleet.GymnasiumEnv):
+      for size, text in ((4, "video_size 4: picture width 4, want 18..2048 pixels"),
+                         ((64, 3000), "picture height 3000, want 18..2048")):
+        self.assert_refused(ValueError, text, craftfleet.Recorder, kind(), self.folder, video_size=size)
+    with unittest.mock.patch.dict(os.environ, IMAGEIO_FFMPEG_EXE="/nowhere/ffmpeg"):
+      env = craftfleet.Recorder(craftfleet.Env(), self.folder)
+    self.assert_refused(FileNotFoundError, "/nowhere/ffmpeg", env.reset)
+    self.assertEqual(list(self.folder.iterdir()), [])
+
+  def test_a_relative_folder_is_that_of_the_place_where_it_was_made(self):
+    with contextlib.chdir(self.folder):
+      env = craftfleet.Recorder(craftfleet.Env(**ARGUMENTS), "recordings", save_video=False)
+      env.reset()
+      env.step(0)
+    while not env.step(0)[2]:
+      pass
+    self.assertEqual(craftfleet.score(self.folder / "recordings").episodes, 1)
+
+  def test_a_copy_of_a_recorder_of_env_plays_a_game_of_its_own(self):
+    env = craftfleet.Recorder(craftfleet.Env(**ARGUMENTS), self.folder, save_video=False)
+    env.reset()
+    before = env.snapshot()
+    clone = copy.copy(env)
+    while not clone.step(0)[2]:
+      pass
+    self.assertEqual(env.snapshot(), before)
+    self.assertEqual(craftfleet.score(self.folder).episodes, 1)
+    play(env, 1)
+    self.assertEqual(craftfleet.score(self.folder).episodes, 2)
 
   def test_the_game_is_the_same_with_a_recorder(self):
     plain, recorded = craftfleet.Env(**ARGUMENTS), craftfleet.Env(**ARGUMENTS)
@@ -266,9 +341,13 @@ class Runs(FolderCase):
     self.assert_refused(ValueError, "x.npz: want a stats.jsonl or the folder with it", craftfleet.score, self.folder / "x.npz")
     whole = next((self.trained / "checkpoints").glob("*/weights.safetensors")).read_bytes()
     events = self.folder / "events.out.tfevents.craftfleet"
-    events.write_bytes(b"\x01" + bytes(11) + b"\x80" + bytes(4))  # a field that goes on behind its record
-    self.assert_refused(ValueError, "tfevents.craftfleet: damaged", craftfleet.load_curves, self.folder)
-    for content in (b"", b"garbage!" * 9, whole[:200], whole[:-4]):
+    for event in (b"\x80",  # a field that goes on behind its record
+                  b"\x2a\x09\x0a\x07\x08\x05\x15\0\0\0\0",  # a tag that is a number
+                  b"\x12\x01\x07\x2a\x0a\x0a\x08\x0a\x01a\x15\0\0\0\0"):  # a step that is a text
+      events.write_bytes(len(event).to_bytes(8, "little") + bytes(4) + event + bytes(4))
+      self.assert_refused(ValueError, "tfevents.craftfleet: damaged", craftfleet.load_curves, self.folder)
+    strange = [with_header(tensor(shape)) for shape in (b"[-1]", b"null", b"[2.0]", b"[1]", b"[3]")]
+    for content in (b"", b"garbage!" * 9, whole[:200], whole[:-4], with_header(b"[" * 100000), *strange):
       (self.folder / "bad.safetensors").write_bytes(content)
       self.assert_refused(ValueError, "not the weights of a checkpoint", craftfleet.load_weights, self.folder / "bad.safetensors")
 

@@ -1,7 +1,6 @@
-"""craftfleet.RemoteVectorEnv over real environment servers: the games of VectorEnv, TLS and tokens, and what goes wrong."""
+"""craftfleet.RemoteVectorEnv over real environment servers: the games of VectorEnv, TLS, and what goes wrong."""
 
 import copy
-import hashlib
 import multiprocessing
 import os
 import pickle
@@ -118,22 +117,19 @@ class Remote(ServerCase):
     self.assertTrue(truncated.all())
     self.assertEqual(infos["final_obs"][299].shape, (256, 256, 3))
 
-  def test_tls_and_a_token_admit_and_without_them_errors_say_so(self):
-    (self.folder / "token").write_text("a-token\n")
-    digest = hashlib.sha256(b"a-token").hexdigest()
-    (self.folder / "access.txt").write_text(f'client {{ name: "python"  token_sha256: "{digest}"  right: PLAY }}\n')
+  def test_a_certificate_admits_and_without_one_errors_say_so(self):
+    (self.folder / "access.txt").write_text('client { name: "python"  certificate: "client"  right: PLAY }\n')
     certs = self.folder / "certs"
-    subprocess.run([SOURCE / "deploy/make-certs.sh", certs, "server", "client"], check=True, capture_output=True)
+    subprocess.run([SOURCE / "deploy/make-certs.sh", certs, "server", "client", "other"], check=True, capture_output=True)
     _, address = self.server(
         f"--tls_ca={certs}/ca.pem", f"--tls_cert={certs}/server.pem", f"--tls_key={certs}/server.key",
         f"--access_file={self.folder / 'access.txt'}")
-    files = {"ca": certs / "ca.pem", "cert": certs / "client.pem", "key": certs / "client.key"}
-    envs = self.connect(address, 2, tls=craftfleet.Tls(**files, token_file=self.folder / "token"))
+    tls, other = (craftfleet.Tls(certs / "ca.pem", certs / f"{name}.pem", certs / f"{name}.key") for name in ("client", "other"))
+    envs = self.connect(address, 2, tls=tls)
     self.assertEqual(envs.reset(seed=1)[0].shape, (2, 64, 64, 3))
-    self.assert_refused(PermissionError, address, craftfleet.RemoteVectorEnv, address, 2, tls=craftfleet.Tls(**files))
+    self.assert_refused(PermissionError, address, craftfleet.RemoteVectorEnv, address, 2, tls=other)
     self.assert_refused(ConnectionError, address, craftfleet.RemoteVectorEnv, address, 2)
-    half = craftfleet.Tls(ca=files["ca"], cert=files["cert"])
-    self.assert_refused(ValueError, "want both or neither", craftfleet.RemoteVectorEnv, address, 2, tls=half)
+    self.assert_refused(TypeError, "'cert' and 'key'", craftfleet.Tls, certs / "ca.pem")
 
   def test_servers_that_are_missing_ended_or_stopped_are_named(self):
     self.assert_refused(ConnectionError, "127.0.0.1:1: ", craftfleet.RemoteVectorEnv, "127.0.0.1:1", 2)
@@ -152,6 +148,27 @@ class Remote(ServerCase):
     server.kill()
     server.wait()
     self.assert_refused(ConnectionError, address, envs.step, [0, 0])
+
+  def test_after_an_error_no_reply_is_taken_for_that_to_another_request(self):
+    (ended, first), (_, second) = self.server(), self.server()
+    envs = self.connect([first, second], 2)
+    envs.reset(seed=0)
+    ended.kill()
+    ended.wait()
+    of_the_second = {"reset_mask": np.array([False, True])}
+    for call in (lambda: envs.step([0, 0]), lambda: envs.reset(options=of_the_second)):
+      self.assert_refused(ConnectionError, first, call)
+
+  def test_one_that_nobody_closes_ends_its_session(self):
+    _, address = self.server()
+    for _ in range(3):
+      self.assertEqual(craftfleet.RemoteVectorEnv(address, LANES).reset(seed=1)[0].shape, (LANES, 64, 64, 3))
+    python_case.wait_until(
+        lambda: f"replies of {address}" not in {thread.name for thread in threading.enumerate()}, "the end of the sessions")
+
+  def test_a_program_ends_that_closes_none(self):
+    code = f"import craftfleet; envs = craftfleet.RemoteVectorEnv({self.server()[1]!r}, 2); envs.reset(seed=1)"
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=120, env={**os.environ, "PYTHONPATH": str(package.SITE)})
 
   def test_errors_are_those_of_the_local_vector(self):
     _, address = self.server()

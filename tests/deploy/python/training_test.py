@@ -70,9 +70,12 @@ class Training(Case):
 
   def test_a_refused_argument_is_a_value_error_with_the_programs_words(self):
     for flags, words in (({"steps": "many"}, r"^--steps=many, want a whole number"), ({"agent": "nobody"}, r'^agent "nobody" is unknown'),
-                         ({"learning_rate": 1e-3}, r"^unknown flag 'learning_rate'.*; hyperparameters are fields .*: config=FILE")):
+                         ({"learning_rate": 1e-3}, r"^unknown flag 'learning_rate'.*; hyperparameters are fields .*: config=FILE"),
+                         ({"log_format": "json"}, r"^log_format 'json', want 'text'")):
       with self.assertRaisesRegex(ValueError, words):
         self.train(**flags)
+    with self.assertRaisesRegex(ValueError, r"^--http_listen=1\.2\.3\.4:9 "):  # refused when the run has a folder and a name
+      self.train("listening", http_listen="1.2.3.4:9")
     self.finished_run()
     with self.assertRaisesRegex(ValueError, "--resume"):
       self.train()
@@ -83,6 +86,11 @@ class Training(Case):
       craftfleet.evaluate(self.folder / "run", episodes=0, progress=False)
     with self.assertRaisesRegex(ValueError, r"^protocol: .* run `craftfleet eval --protocol=final`"):
       craftfleet.evaluate(self.folder / "run", protocol="final", progress=False)
+
+  def test_paths_are_given_in_any_form(self):
+    run = craftfleet.train(
+        config=os.fsencode(self.config), logdir=self.folder / "new", init_from=self.finished_run(), progress=False)
+    self.assertIn("iteration 3", json.loads((run.folder / "run.json").read_text())["init_from"])
 
   def test_a_run_that_is_killed_or_stopped_on_the_way_is_a_runtime_error(self):
     self.config.write_text(ENDLESS)
@@ -192,6 +200,9 @@ class Evaluation(Case):
     evaluated = craftfleet.evaluate(checkpoint, episodes=1, out=out, progress=False)
     self.assertEqual((evaluated.folder, evaluated.evaluation.episodes), (run.folder, 1))
     self.assertEqual(json.loads(out.read_text())["env_steps_trained"], 64)
+    with contextlib.chdir(checkpoint):
+      self.assertEqual(craftfleet.evaluate("../iter-00000002", episodes=1, out=out, progress=False).folder, run.folder)
+    self.assertEqual(json.loads(out.read_text())["env_steps_trained"], 128)
 
 
 class Policy(Case):

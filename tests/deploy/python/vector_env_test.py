@@ -52,6 +52,7 @@ class Named(craftfleet.VectorEnv):
   def __init__(self, name):
     super().__init__(2, **SHORT)
     self.name = name
+    self.observation_space = gymnasium.spaces.Box(0, 1, (2, 3, 64, 64), np.float32)
 
 
 def send_played(writer, envs):
@@ -200,10 +201,13 @@ class Lanes(package.PackageCase):
   def test_copies_have_all_attributes(self):
     envs, named = gymnasium.make_vec(NAME, num_envs=2), Named("mine")
     envs.action_space.seed(4)
+    envs.observation_space.seed(4)
     named.close()
     for clone in (copy.deepcopy, lambda original: pickle.loads(pickle.dumps(original))):
       self.assertEqual(clone(envs).spec, envs.spec)
       self.assertEqual(clone(envs).action_space.sample().tolist(), copy.deepcopy(envs.action_space).sample().tolist())
+      self.assertTrue(np.array_equal(clone(envs).observation_space.sample(), copy.deepcopy(envs.observation_space).sample()))
+      self.assertEqual(clone(named).observation_space, named.observation_space)
       self.assertEqual((clone(named).name, clone(named).closed), ("mine", True))
 
   def test_copies_draw_with_the_textures_of_a_relative_folder(self):
@@ -253,6 +257,8 @@ class Lanes(package.PackageCase):
         (RuntimeError, "lane 0: no game yet, want reset() first", lambda: new.step([0, 0])),
         (ValueError, "num_envs 0, want 1..", lambda: craftfleet.VectorEnv(0)),
         (ValueError, "threads 0, want 1..", lambda: craftfleet.VectorEnv(1, threads=0)),
+        (ValueError, "render_mode 'human', want None or 'rgb_array'", lambda: craftfleet.VectorEnv(1, render_mode="human")),
+        (ValueError, "render_size 4: picture width 4, want 14..2048", lambda: craftfleet.VectorEnv(1, view=(7, 9), render_size=4)),
         (ValueError, "autoreset_mode 'never', want one of", lambda: craftfleet.VectorEnv(1, autoreset_mode="never")),
         (ValueError, "2 seeds, want one for each of 5 lanes", lambda: envs.reset(seed=[1, 2])),
         (ValueError, "reset_mask [1, 0], want a NumPy array", lambda: envs.reset(options={"reset_mask": [1, 0]})),
