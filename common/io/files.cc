@@ -11,6 +11,7 @@
 #include <system_error>
 
 #include <absl/cleanup/cleanup.h>
+#include <absl/strings/match.h>
 #include <absl/strings/str_cat.h>
 #include <absl/strings/strip.h>
 
@@ -23,6 +24,8 @@ namespace fs = std::filesystem;
 
 // Tries. Each removes the files that were added during the one before.
 constexpr int kRemovals = 100;
+constexpr absl::string_view kUnfinishedPrefix = ".craftfleet-";
+constexpr absl::string_view kUnfinishedEnding = ".tmp";
 
 std::string ParentOf(const std::string& path) {
   const fs::path parent = fs::path(path).parent_path();
@@ -106,7 +109,7 @@ absl::Status WriteFileSynced(const std::string& path, absl::string_view bytes) {
 absl::StatusOr<std::string> CreateBeside(const std::string& path, absl::string_view ending) {
   static std::atomic<int> number{0};
   while (true) {
-    std::string name = JoinPath(ParentOf(path), absl::StrCat(".craftfleet-", ::getpid(), "-", ++number, ending));
+    std::string name = JoinPath(ParentOf(path), absl::StrCat(kUnfinishedPrefix, ::getpid(), "-", ++number, ending));
     const int descriptor = ::open(name.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0644);
     if (descriptor < 0 && errno == EEXIST) continue;
     if (descriptor < 0) return FileError(errno, "cannot create", path);
@@ -116,7 +119,7 @@ absl::StatusOr<std::string> CreateBeside(const std::string& path, absl::string_v
 }
 
 absl::Status ReplaceFile(const std::string& path, absl::string_view bytes) {
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string temporary, CreateBeside(path));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string temporary, CreateBeside(path, kUnfinishedEnding));
   const int descriptor = ::open(temporary.c_str(), O_WRONLY | O_CLOEXEC);
   struct stat old = {};
   if (descriptor >= 0 && ::stat(path.c_str(), &old) == 0) ::fchmod(descriptor, old.st_mode & 07777);
@@ -127,8 +130,19 @@ absl::Status ReplaceFile(const std::string& path, absl::string_view bytes) {
   return status;
 }
 
+absl::Status RemoveUnfinished(const std::string& folder) {
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<std::string> names, ListFolder(folder));
+  absl::Status status;
+  for (const std::string& name : names) {
+    const bool is_unfinished = absl::StartsWith(name, kUnfinishedPrefix) && absl::EndsWith(name, kUnfinishedEnding);
+    if (is_unfinished) status.Update(RemoveAll(JoinPath(folder, name)));
+  }
+  return status;
+}
+
 absl::Status SyncFolder(const std::string& folder) {
   const int descriptor = ::open(folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
+  if (descriptor < 0 && errno == EACCES) return absl::OkStatus();  // one that may only be written, mode -wx
   if (descriptor < 0) return FileError(errno, "cannot open", folder);
   const absl::Cleanup close = [descriptor] { ::close(descriptor); };
   return SyncDescriptor(descriptor) == 0 ? absl::OkStatus() : FileError(errno, "cannot sync", folder);

@@ -44,7 +44,10 @@ absl::StatusOr<std::string> CreateBeside(const std::string& path, absl::string_v
 // the old bytes stay, unless the sync of the folder failed: then the new ones are in place but may not survive a crash.
 absl::Status ReplaceFile(const std::string& path, absl::string_view bytes);
 
-// Makes the names in `folder` durable.
+// Removes the files that ReplaceFile was writing in `folder` when its process was killed.
+absl::Status RemoveUnfinished(const std::string& folder);
+
+// Makes the names in `folder` durable, if the folder may be read.
 absl::Status SyncFolder(const std::string& folder);
 
 // Creates `path` and its parents. OK if it exists already.

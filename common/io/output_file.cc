@@ -94,7 +94,13 @@ absl::Status OutputFile::TryFile() {
 }
 
 absl::Status OutputFile::Write(absl::string_view bytes) {
-  if (stream_ < 0) return Named(ReplaceFile(path_, bytes));
+  if (stream_ < 0) {
+    const absl::Status status = ReplaceFile(path_, bytes);
+    // No file may be renamed to a mounted one (EBUSY), or to another user's in a folder like /tmp (EPERM).
+    if (!absl::IsFailedPrecondition(status) && !absl::IsPermissionDenied(status)) return Named(status);
+    stream_ = ::open(path_.c_str(), O_WRONLY | O_TRUNC | O_NOFOLLOW | O_CLOEXEC);
+    if (stream_ < 0) return Named(status);
+  }
   if (standard_output_ && std::fflush(stdout) != 0) return Named(FileError(errno, "cannot write", path_));
   absl::Status status = WriteAll(stream_, bytes, path_);
   if (::close(std::exchange(stream_, -1)) != 0 && status.ok()) status = FileError(errno, "cannot close", path_);

@@ -12,6 +12,7 @@ namespace craftfleet {
 
 // Opened before the work, so that a target that can't be written is reported then, and written once after it.
 // A regular file is replaced atomically: it holds either the old bytes or the new ones, and a link to it stays a link.
+// One that may be written but not replaced, such as a mounted file, is overwritten.
 // Anything that accepts a stream of bytes, such as a FIFO, a terminal, /dev/null or /dev/stdout, is written directly.
 // Thread-compatible.
 class OutputFile {

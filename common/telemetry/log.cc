@@ -72,7 +72,8 @@ std::string WholeLine(const LogOptions& options, LogLevel level, absl::string_vi
   line["program"] = options.program;
   const std::string message(text);
   line["message"] = message;
-  return line.dump(-1, ' ', /*ensure_ascii=*/false, nlohmann::ordered_json::error_handler_t::replace) + "\n";
+  // In ASCII, so that DEL and the control characters of two bytes are escaped too.
+  return line.dump(-1, ' ', /*ensure_ascii=*/true, nlohmann::ordered_json::error_handler_t::replace) + "\n";
 }
 
 }  // namespace

@@ -9,7 +9,6 @@
 #include <absl/strings/ascii.h>
 #include <absl/strings/escaping.h>
 #include <absl/strings/match.h>
-#include <absl/strings/numbers.h>
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
 #include <absl/strings/strip.h>
@@ -145,9 +144,7 @@ nlohmann::json JsonOfCheckpoints(const std::string& logdir, int64_t steps_per_it
       CheckpointStore::At(JoinPath(logdir, "checkpoints")).ListNewestFirst();
   if (!names.ok()) return checkpoints;
   for (const std::string& name : *names) {
-    int64_t iteration = 0;
-    if (!absl::SimpleAtoi(name.substr(name.rfind('-') + 1), &iteration)) continue;
-    checkpoints.push_back({{"name", name}, {"steps", iteration * steps_per_iteration}});
+    checkpoints.push_back({{"name", name}, {"steps", IterationOf(name) * steps_per_iteration}});
   }
   return checkpoints;
 }

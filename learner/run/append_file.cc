@@ -1,6 +1,7 @@
 #include "learner/run/append_file.h"
 
 #include <fcntl.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include <cerrno>
@@ -16,10 +17,28 @@ namespace {
 
 constexpr size_t kMaxUnsyncedBytes = 1 << 20;
 
+// Whether `path` no longer leads to the open file. False if the disk can't tell.
+bool WasReplaced(int descriptor, const std::string& path) {
+  struct stat opened = {};
+  struct stat named = {};
+  if (::stat(path.c_str(), &named) != 0) return errno == ENOENT;
+  return ::fstat(descriptor, &opened) == 0 && (opened.st_dev != named.st_dev || opened.st_ino != named.st_ino);
+}
+
+// A log is the only file of a run that is changed in place: one with further names, as after `cp -al`, would change
+// for the run that it was copied from too.
+absl::Status EndHardLinks(const std::string& path) {
+  struct stat file = {};
+  if (::lstat(path.c_str(), &file) != 0 || !S_ISREG(file.st_mode) || file.st_nlink == 1) return absl::OkStatus();
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string bytes, ReadFile(path));
+  return ReplaceFile(path, bytes);
+}
+
 }  // namespace
 
 absl::StatusOr<AppendFile> AppendFile::Open(const std::string& path, const EpochFence* fence) {
   AppendFile file(path, fence);
+  CRAFTFLEET_RETURN_IF_ERROR(EndHardLinks(path));
   CRAFTFLEET_RETURN_IF_ERROR(file.OpenDescriptor());
   CRAFTFLEET_ASSIGN_OR_RETURN(file.length_, file.FindEnd());
   return file;
@@ -52,8 +71,12 @@ absl::StatusOr<int64_t> AppendFile::FindEnd() const {
 absl::Status AppendFile::CheckFence() const { return fence_ != nullptr ? fence_->Check() : absl::OkStatus(); }
 
 absl::Status AppendFile::Prepare() {
-  if (descriptor_ < 0) {
+  if (descriptor_ < 0 || WasReplaced(descriptor_, path_)) {
     CRAFTFLEET_RETURN_IF_ERROR(CheckFence());
+    if (descriptor_ >= 0) {
+      LogError("%s was replaced or removed by something else; the run goes on in the file of that name", path_);
+      ::close(std::exchange(descriptor_, -1));
+    }
     CRAFTFLEET_RETURN_IF_ERROR(OpenDescriptor());
   }
   // Seen before the fence is checked, so that these bytes are not those of a later start.

@@ -17,8 +17,8 @@ namespace craftfleet {
 
 class AppendFile {
  public:
-  // Creates `path` if it does not exist. `fence` is checked before each change of the file and outlives this; null: no
-  // check. Errors as FileError (common/io/files.h).
+  // Creates `path` if it does not exist; gives it a file of its own if it is a hard link. `fence` is checked before
+  // each change of the file and outlives this; null: no check. Errors as FileError (common/io/files.h).
   static absl::StatusOr<AppendFile> Open(const std::string& path, const EpochFence* fence = nullptr);
   AppendFile(AppendFile&& other) noexcept;
   AppendFile& operator=(AppendFile&& other) = delete;
@@ -51,14 +51,14 @@ class AppendFile {
   absl::Status CheckFence() const;
   // To be called before a change or a sync: checks the fence, reopens the file after a failed sync, cuts off what is
   // not this log's: a torn end, or a line that an earlier start was writing when this one took over. Logs an error if
-  // something else has cut the file, and goes on from its end.
+  // something else has cut, replaced or removed the file, and goes on from the end of the file of that name.
   absl::Status Prepare();
   // Forgets what was written after the first `length` bytes.
   void Shorten(int64_t length);
 
   std::string path_;
   const EpochFence* fence_;
-  int descriptor_ = -1;  // -1: moved from, or closed by a failed sync
+  int descriptor_ = -1;  // -1: moved from, or closed until Prepare reopens it
   int64_t length_ = 0;
   std::string unsynced_;  // data written since the last sync, 1 MiB at most
   std::string waiting_;

@@ -186,7 +186,7 @@ absl::StatusOr<v1::CheckpointState> LoadCheckpointState(const std::string& folde
   return ReadState(folder, manifest);
 }
 
-absl::StatusOr<Checkpoint> LoadCheckpoint(const std::string& folder, absl::string_view agent) {
+absl::StatusOr<Checkpoint> LoadCheckpoint(const std::string& folder) {
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<std::string> manifest, ReadManifest(folder));
   Checkpoint checkpoint;
   CRAFTFLEET_ASSIGN_OR_RETURN(checkpoint.state, ReadState(folder, manifest));
@@ -200,11 +200,6 @@ absl::StatusOr<Checkpoint> LoadCheckpoint(const std::string& folder, absl::strin
   for (const v1::PendingEvaluation& evaluation : checkpoint.state.pending()) {
     CRAFTFLEET_ASSIGN_OR_RETURN(std::string weights, ReadListedFile(folder, EvaluationFile(evaluation), manifest));
     checkpoint.evaluation_weights.push_back(std::make_shared<const std::string>(std::move(weights)));
-  }
-  const std::string& own_agent = checkpoint.state.config().agent();
-  if (!agent.empty() && own_agent != agent) {
-    return absl::FailedPreconditionError(absl::StrCat("checkpoint ", folder, " is of agent ", own_agent, ", not of ",
-                                                      agent, ": name that agent or another checkpoint"));
   }
   return checkpoint;
 }

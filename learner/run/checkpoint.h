@@ -36,9 +36,9 @@ absl::Status WriteCheckpointFiles(const std::string& folder, const Checkpoint& c
 // Reads and checks state.pb alone. Errors as LoadCheckpoint.
 absl::StatusOr<v1::CheckpointState> LoadCheckpointState(const std::string& folder);
 
-// Reads and checks the whole checkpoint. `agent`: the agent that it must be of; empty: any.
+// Reads and checks the whole checkpoint.
 //   InvalidArgument: not a checkpoint.   DataLoss: torn or inconsistent; names the file and the error.
-//   FailedPrecondition: of another format, or of another agent.
-absl::StatusOr<Checkpoint> LoadCheckpoint(const std::string& folder, absl::string_view agent);
+//   FailedPrecondition: of another format.
+absl::StatusOr<Checkpoint> LoadCheckpoint(const std::string& folder);
 
 }  // namespace craftfleet

@@ -25,13 +25,6 @@ constexpr absl::string_view kNamePrefix = "iter-";
 constexpr absl::string_view kTemporaryPrefix = ".tmp-";
 constexpr absl::string_view kReplacedPrefix = ".replaced-";
 
-// -1 if `name` is not a checkpoint's.
-int64_t IterationOf(absl::string_view name) {
-  int64_t iteration = -1;
-  if (!absl::ConsumePrefix(&name, kNamePrefix) || !absl::SimpleAtoi(name, &iteration)) return -1;
-  return iteration;
-}
-
 // Whether there is nothing of this name, not even a link that leads nowhere. False if the disk can't tell.
 bool IsAbsent(const std::string& path) {
   struct stat found = {};
@@ -62,6 +55,17 @@ std::string PathIn(const std::string& folder, absl::string_view name) {
   return !PathExists(path) && PathExists(replaced) ? replaced : path;
 }
 
+// Loads the checkpoint `name` of a store; errors as CheckpointStore::Load. One under a false name would be deleted by
+// the run that resumes from it, with others.
+absl::StatusOr<Checkpoint> LoadNamed(const std::string& folder, const std::string& name) {
+  const std::string path = PathIn(folder, name);
+  CRAFTFLEET_ASSIGN_OR_RETURN(Checkpoint checkpoint, LoadCheckpoint(path));
+  const int64_t iteration = checkpoint.state.iteration();
+  if (iteration == IterationOf(name)) return checkpoint;
+  return absl::DataLossError(absl::StrCat("checkpoint ", path, " has the state after iteration ", iteration,
+                                          ": rename it to ", CheckpointName(iteration), ", or move it elsewhere"));
+}
+
 // Deletes what no name of a checkpoint leads to any more. A file system may refuse, such as NFS (EBUSY) while another
 // process has a file open: the next start of a learner tries again.
 void Delete(const std::string& path) {
@@ -81,10 +85,9 @@ absl::Status EndReplacement(const std::string& folder, const std::string& replac
 }
 
 // The newest checkpoint but the first of `newest_first` that can be loaded; "" if there is none.
-std::string NewestOlder(const std::string& folder, const std::vector<std::string>& newest_first,
-                        absl::string_view agent) {
+std::string NewestOlder(const std::string& folder, const std::vector<std::string>& newest_first) {
   for (size_t i = 1; i < newest_first.size(); ++i) {
-    if (LoadCheckpoint(PathIn(folder, newest_first[i]), agent).ok()) return newest_first[i];
+    if (LoadNamed(folder, newest_first[i]).ok()) return newest_first[i];
   }
   return "";
 }
@@ -98,6 +101,12 @@ bool SameEvaluations(const v1::CheckpointState& a, const v1::CheckpointState& b)
 
 std::string CheckpointName(int64_t iteration) { return absl::StrFormat("%s%08d", kNamePrefix, iteration); }
 
+int64_t IterationOf(absl::string_view name) {
+  int64_t iteration = -1;
+  if (!absl::ConsumePrefix(&name, kNamePrefix) || !absl::SimpleAtoi(name, &iteration)) return -1;
+  return iteration;
+}
+
 absl::StatusOr<std::string> FindCheckpoint(const std::string& path) {
   if (PathExists(JoinPath(path, "MANIFEST"))) return path;
   for (const std::string& folder : {JoinPath(path, "checkpoints"), path}) {
@@ -109,12 +118,12 @@ absl::StatusOr<std::string> FindCheckpoint(const std::string& path) {
       absl::StrCat("no checkpoint at ", path, ": want a run's folder, or one like <logdir>/checkpoints/iter-00000010"));
 }
 
-absl::StatusOr<Checkpoint> LoadFound(const std::string& path, absl::string_view agent, std::string* folder) {
+absl::StatusOr<Checkpoint> LoadFound(const std::string& path, std::string* folder) {
   CRAFTFLEET_ASSIGN_OR_RETURN(*folder, FindCheckpoint(path));
-  absl::StatusOr<Checkpoint> found = LoadCheckpoint(*folder, agent);
+  absl::StatusOr<Checkpoint> found = LoadCheckpoint(*folder);
   if (found.ok() || *folder == path) return found;
   const std::string parent = folder->substr(0, folder->rfind('/'));
-  const std::string older = NewestOlder(parent, ListCheckpoints(parent).value_or(std::vector<std::string>()), agent);
+  const std::string older = NewestOlder(parent, ListCheckpoints(parent).value_or(std::vector<std::string>()));
   if (older.empty()) return found;
   return absl::Status(found.status().code(), absl::StrCat(found.status().message(), "; the newest valid one is ",
                                                           PathIn(parent, older), ": give that one"));
@@ -136,7 +145,7 @@ absl::Status CheckpointStore::Write(const Checkpoint& checkpoint) {
   const std::string name = CheckpointName(checkpoint.state.iteration());
   CRAFTFLEET_RETURN_IF_ERROR(CheckFence());
   if (PathExists(PathOf(name))) {
-    const absl::StatusOr<Checkpoint> there = LoadCheckpoint(PathOf(name), "");
+    const absl::StatusOr<Checkpoint> there = LoadNamed(folder_, name);
     if (there.ok() && SameEvaluations(there->state, checkpoint.state)) return absl::OkStatus();
   }
   const std::string temporary = TemporaryPath(name);
@@ -170,21 +179,21 @@ absl::Status CheckpointStore::MoveIn(const std::string& temporary, const std::st
 
 absl::StatusOr<std::vector<std::string>> CheckpointStore::ListNewestFirst() const { return ListCheckpoints(folder_); }
 
-absl::StatusOr<Checkpoint> CheckpointStore::Load(const std::string& name, absl::string_view agent) const {
+absl::StatusOr<Checkpoint> CheckpointStore::Load(const std::string& name) const {
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<std::string> names, ListNewestFirst());
   if (std::find(names.begin(), names.end(), name) == names.end()) {
     return absl::NotFoundError(absl::StrCat("no checkpoint ", name, " in ", folder_, ", which has ",
                                             names.empty() ? "none" : absl::StrJoin(names, ", ")));
   }
-  return LoadCheckpoint(PathIn(folder_, name), agent);
+  return LoadNamed(folder_, name);
 }
 
-absl::StatusOr<Checkpoint> CheckpointStore::LoadLatest(absl::string_view agent) const {
+absl::StatusOr<Checkpoint> CheckpointStore::LoadLatest() const {
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<std::string> names, ListNewestFirst());
   if (names.empty()) return absl::NotFoundError(absl::StrCat("no checkpoint in ", folder_));
-  absl::StatusOr<Checkpoint> newest = LoadCheckpoint(PathIn(folder_, names.front()), agent);
+  absl::StatusOr<Checkpoint> newest = LoadNamed(folder_, names.front());
   if (newest.ok()) return newest;
-  const std::string older = NewestOlder(folder_, names, agent);
+  const std::string older = NewestOlder(folder_, names);
   if (older.empty()) return newest;
   return absl::Status(newest.status().code(), absl::StrCat(newest.status().message(), "; the newest valid one is ",
                                                            older, ": resume from it with --resume_from=", older));
@@ -214,12 +223,14 @@ absl::Status CheckpointStore::Remove(const std::string& name) {
 }
 
 absl::Status CheckpointStore::Prune(size_t keep) {
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<std::string> names, ListNewestFirst());
-  if (names.size() <= keep) return absl::OkStatus();
-  const std::string best = BestOf(names);
-  for (size_t i = keep; i < names.size(); ++i) {
-    if (names[i] == best) continue;
-    const absl::Status removed = Remove(names[i]);
+  const absl::StatusOr<std::vector<std::string>> names = ListNewestFirst();
+  if (!names.ok()) LogWarning("%s; the next checkpoint tries again", names.status().message());
+  if (!names.ok() || names->size() <= keep) return absl::OkStatus();
+  const std::string best = BestOf(*names);
+  for (size_t i = keep; i < names->size(); ++i) {
+    const std::string& name = (*names)[i];
+    if (name == best) continue;
+    const absl::Status removed = Remove(name);
     if (absl::IsAborted(removed)) return removed;  // the run has been taken over
     if (!removed.ok()) LogWarning("%s; the next checkpoint tries again", removed.message());
   }

@@ -18,6 +18,8 @@ namespace craftfleet {
 
 // The folder name of a checkpoint, such as "iter-00000010".
 std::string CheckpointName(int64_t iteration);
+// The inverse; -1: `name` is not a checkpoint's.
+int64_t IterationOf(absl::string_view name);
 
 // Resolves a user's `path` to a checkpoint's folder. `path` is a checkpoint, or a run folder, for its newest
 // checkpoint.
@@ -27,7 +29,7 @@ absl::StatusOr<std::string> FindCheckpoint(const std::string& path);
 // Loads FindCheckpoint(path) and stores its folder in `folder`. If a run's newest checkpoint can't be loaded, the error
 // names the newest older one that can.
 //   Errors as FindCheckpoint and LoadCheckpoint.
-absl::StatusOr<Checkpoint> LoadFound(const std::string& path, absl::string_view agent, std::string* folder);
+absl::StatusOr<Checkpoint> LoadFound(const std::string& path, std::string* folder);
 
 // Thread-compatible: one thread at a time. Only one process may write a store (RunFolder locks).
 class CheckpointStore {
@@ -41,21 +43,22 @@ class CheckpointStore {
   // Writes `checkpoint` under a temporary name, syncs and renames it. Then removes all but the newest
   // `config.checkpoint.keep` and the best, which is the first with the newest one's `best_score`. An existing
   // checkpoint of the same iteration is replaced if it can't be loaded or the run was evaluated since, else unchanged.
-  //   ResourceExhausted: disk, quota or file size limit reached.   Others as EpochFence::Check. After any error,
-  //   including a failed sync, the earlier checkpoints are unchanged and no part of this one is left.
+  //   ResourceExhausted: disk, quota or file size limit reached.   Others as EpochFence::Check. After any error but
+  //   Aborted, including a failed sync, the earlier checkpoints are unchanged and no part of this one is left.
   absl::Status Write(const Checkpoint& checkpoint);
 
   // Names, the highest iteration first; none if there is no folder.
   //   Unavailable: the folder is a link that leads nowhere.   Others as ListFolder: it cannot be listed.
   absl::StatusOr<std::vector<std::string>> ListNewestFirst() const;
 
-  // Errors as LoadCheckpoint; NotFound: no checkpoint of that name; lists the existing ones.
-  absl::StatusOr<Checkpoint> Load(const std::string& name, absl::string_view agent) const;
+  // Errors as LoadCheckpoint. NotFound: no checkpoint of that name; lists the existing ones.   DataLoss also: its name
+  // is that of another iteration, which is named.
+  absl::StatusOr<Checkpoint> Load(const std::string& name) const;
 
   // Loads the newest checkpoint. There is no fallback: if it can't be loaded, the error names the newest older one that
   // can.
   //   NotFound: there is no checkpoint.
-  absl::StatusOr<Checkpoint> LoadLatest(absl::string_view agent) const;
+  absl::StatusOr<Checkpoint> LoadLatest() const;
 
   // Removes checkpoints of later iterations, when a run is resumed from an older checkpoint.
   absl::Status DiscardNewerThan(int64_t iteration);

@@ -16,6 +16,8 @@
 #include "common/config/config.h"
 #include "common/io/files.h"
 #include "common/io/texture_digest.h"
+#include "common/process/version.h"
+#include "common/telemetry/log.h"
 #include "learner/run/final_logs.h"
 #include "learner/run/stats_log.h"
 
@@ -34,13 +36,13 @@ std::string MakeRunId(absl::Time now) {
   return absl::StrFormat("%s-%06x", absl::FormatTime("%Y%m%d-%H%M%S", now, absl::UTCTimeZone()), random() & 0xFFFFFF);
 }
 
-std::string DescribeRun(const std::string& run_id, uint64_t seed, const ProgramInfo& program,
+std::string DescribeRun(const std::string& run_id, uint64_t seed, const std::string& texture_digest,
                         const std::string& origin) {
   nlohmann::ordered_json description = {{"run_id", run_id},
-                                        {"program_version", program.version},
-                                        {"git_revision", program.git_revision},
+                                        {"program_version", std::string(ProgramVersion())},
+                                        {"git_revision", std::string(GitRevision())},
                                         {"seed", seed},
-                                        {"texture_digest", program.texture_digest}};
+                                        {"texture_digest", texture_digest}};
   if (!origin.empty()) description["init_from"] = origin;
   return description.dump(2) + "\n";
 }
@@ -60,9 +62,10 @@ absl::StatusOr<int64_t> LogBytes(const std::string& path) {
 }
 
 // For a `logdir` without checkpoints. The first one precedes the first line of any log.
-//   AlreadyExists: a log has lines, so that the run has lost its checkpoints.
+//   AlreadyExists: a log has lines, also compressed, so that the run has lost its checkpoints; or there are a run's
+//   weights, as beside a collected result.
 absl::Status CheckNotBegun(const std::string& logdir) {
-  const auto check = [&logdir](const char* name, int64_t at_most) -> absl::Status {
+  const auto check = [&logdir](const std::string& name, int64_t at_most) -> absl::Status {
     const std::string path = JoinPath(logdir, name);
     CRAFTFLEET_ASSIGN_OR_RETURN(const int64_t bytes, LogBytes(path));
     if (bytes <= at_most) return absl::OkStatus();
@@ -70,7 +73,11 @@ absl::Status CheckNotBegun(const std::string& logdir) {
                                                  " bytes, but the run has no checkpoint: put its ", kCheckpointFolder,
                                                  " back and resume it with --resume, or use another --logdir"));
   };
-  for (const char* name : kEpisodeFiles) CRAFTFLEET_RETURN_IF_ERROR(check(name, 0));
+  for (const char* name : kEpisodeFiles) {
+    CRAFTFLEET_RETURN_IF_ERROR(check(name, 0));
+    CRAFTFLEET_RETURN_IF_ERROR(check(absl::StrCat(name, ".gz"), 0));
+  }
+  if (PathExists(JoinPath(logdir, kConfigFile))) CRAFTFLEET_RETURN_IF_ERROR(check("weights.safetensors", 0));
   return check(kEventsFile, kVersionRecordBytes);
 }
 
@@ -102,20 +109,20 @@ std::optional<int64_t> LengthOf(absl::string_view name, const v1::CheckpointStat
 
 }  // namespace
 
-RunFolder::RunFolder(std::string logdir, FolderLock lock, ProgramInfo program, Clock* clock)
+RunFolder::RunFolder(std::string logdir, FolderLock lock, std::string texture_digest, Clock* clock)
     : logdir_(std::move(logdir)),
       lock_(std::move(lock)),
-      program_(std::move(program)),
+      texture_digest_(std::move(texture_digest)),
       clock_(clock),
       checkpoints_(CheckpointStore::At(JoinPath(logdir_, kCheckpointFolder))) {}
 
 absl::StatusOr<std::unique_ptr<RunFolder>> RunFolder::Create(const std::string& logdir, const v1::RunConfig& config,
-                                                             const ProgramInfo& program, Clock* clock,
+                                                             const std::string& texture_digest, Clock* clock,
                                                              const std::string& origin) {
   CRAFTFLEET_RETURN_IF_ERROR(CreateFolders(logdir));
   CRAFTFLEET_ASSIGN_OR_RETURN(FolderLock lock, FolderLock::Acquire(logdir));
   CRAFTFLEET_RETURN_IF_ERROR(CheckNoRun(logdir));
-  std::unique_ptr<RunFolder> folder(new RunFolder(logdir, std::move(lock), program, clock));
+  std::unique_ptr<RunFolder> folder(new RunFolder(logdir, std::move(lock), texture_digest, clock));
   folder->origin_ = origin;
   folder->run_id_ = MakeRunId(clock->WallNow());
   folder->config_ = config;
@@ -124,15 +131,15 @@ absl::StatusOr<std::unique_ptr<RunFolder>> RunFolder::Create(const std::string& 
   return folder;
 }
 
-absl::StatusOr<ResumedRun> RunFolder::Resume(const std::string& logdir, const ResumeOptions& options,
-                                             const ProgramInfo& program, Clock* clock) {
+absl::StatusOr<ResumedRun> RunFolder::Resume(const std::string& logdir, const std::string& from,
+                                             const std::string& texture_digest, Clock* clock) {
   if (!PathExists(JoinPath(logdir, kConfigFile))) {
     return absl::NotFoundError(
         absl::StrCat("no run to resume in ", logdir, ": it has no ", kConfigFile, "; start it without --resume"));
   }
   CRAFTFLEET_ASSIGN_OR_RETURN(FolderLock lock, FolderLock::Acquire(logdir));
   ResumedRun run;
-  run.folder.reset(new RunFolder(logdir, std::move(lock), program, clock));
+  run.folder.reset(new RunFolder(logdir, std::move(lock), texture_digest, clock));
   RunFolder& folder = *run.folder;
   CRAFTFLEET_ASSIGN_OR_RETURN(const bool has_checkpoint, HasCheckpoint(logdir));
   if (!has_checkpoint) {
@@ -140,9 +147,8 @@ absl::StatusOr<ResumedRun> RunFolder::Resume(const std::string& logdir, const Re
     return absl::NotFoundError(absl::StrCat("no checkpoint in ", JoinPath(logdir, kCheckpointFolder), ": the run in ",
                                             logdir, " ended before its first one; start it again without --resume"));
   }
-  CRAFTFLEET_ASSIGN_OR_RETURN(run.checkpoint, options.from.empty()
-                                                  ? folder.checkpoints_.LoadLatest(options.agent)
-                                                  : folder.checkpoints_.Load(options.from, options.agent));
+  CRAFTFLEET_ASSIGN_OR_RETURN(run.checkpoint,
+                              from.empty() ? folder.checkpoints_.LoadLatest() : folder.checkpoints_.Load(from));
   const v1::CheckpointState& state = run.checkpoint.state;
   folder.config_ = state.config();
   CRAFTFLEET_RETURN_IF_ERROR(folder.CheckFits(state));
@@ -163,6 +169,9 @@ void RunFolder::TakeChanges(const v1::RunConfig& config) {
 
 absl::Status RunFolder::Begin() {
   CRAFTFLEET_RETURN_IF_ERROR(fence_.Take(logdir_, epoch_));
+  if (const absl::Status status = RemoveUnfinished(logdir_); !status.ok()) {
+    LogWarning("%s; the next start on this folder tries again", status.message());
+  }
   CRAFTFLEET_ASSIGN_OR_RETURN(checkpoints_, CheckpointStore::Open(JoinPath(logdir_, kCheckpointFolder), &fence_));
   if (!resumed_.has_value()) CRAFTFLEET_RETURN_IF_ERROR(RemoveUnbegunLogs());
   // Checkpoints first, so that the logs of the newest one always exist.
@@ -172,7 +181,7 @@ absl::Status RunFolder::Begin() {
   }
   CRAFTFLEET_RETURN_IF_ERROR(OpenLogs());
   if (!resumed_.has_value()) {
-    const std::string description = DescribeRun(run_id_, config_.seed(), program_, origin_);
+    const std::string description = DescribeRun(run_id_, config_.seed(), texture_digest_, origin_);
     CRAFTFLEET_RETURN_IF_ERROR(ReplaceFile(JoinPath(logdir_, "run.json"), description));
   }
   // This file marks the folder as one with a run.
@@ -247,10 +256,10 @@ absl::Status RunFolder::WriteCheckpoint(Checkpoint checkpoint) {
   // The best must not depend on when a run was stopped or a checkpoint requested.
   const bool is_periodic = state.iteration() % config_.checkpoint().every_iterations() == 0;
   if (is_periodic && score().episodes() > 0) best_score_ = std::max(best_score_, score().RecentReward());
-  state.set_program_version(program_.version);
+  state.set_program_version(std::string(ProgramVersion()));
   state.set_run_id(run_id_);
   *state.mutable_config() = config_;
-  state.set_texture_digest(program_.texture_digest);
+  state.set_texture_digest(texture_digest_);
   state.set_best_score(best_score_);
   state.clear_logs();
   CRAFTFLEET_RETURN_IF_ERROR(FlushLogs());
@@ -271,7 +280,7 @@ std::vector<AppendFile*> RunFolder::Logs() {
 }
 
 absl::Status RunFolder::CheckFits(const v1::CheckpointState& state) const {
-  return CheckTextureDigest(absl::StrCat("the run in ", logdir_), state.texture_digest(), program_.texture_digest);
+  return CheckTextureDigest(absl::StrCat("the run in ", logdir_), state.texture_digest(), texture_digest_);
 }
 
 absl::Status RunFolder::CountLogs(const v1::CheckpointState& state) {

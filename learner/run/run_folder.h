@@ -30,18 +30,6 @@
 
 namespace craftfleet {
 
-// The program that writes a run folder.
-struct ProgramInfo {
-  std::string version;         // "0.2.0"
-  std::string git_revision;    // "39702b5"
-  std::string texture_digest;  // digest of the textures in use
-};
-
-struct ResumeOptions {
-  std::string from;   // a checkpoint's name ("iter-00000020"); empty: the newest
-  std::string agent;  // refuse a run of another agent; empty: any
-};
-
 // The kinds of episodes in a run; each has its own log.
 enum class EpisodeKind { kTraining, kArgmax, kSampled, kFinalArgmax, kFinalSampled };
 inline constexpr int kNumEpisodeKinds = 5;
@@ -54,21 +42,21 @@ struct ResumedRun;
 class RunFolder {
  public:
   // Prepares a new run in `logdir`, which is created if necessary. `config` is complete (CompleteConfig); `clock`
-  // outlives this. `origin`: the origin of its initial weights, for run.json; empty: none. Begin replaces an existing
-  // run that ended before its first checkpoint.
+  // outlives this. `texture_digest`: of the textures in use. `origin`: the origin of its initial weights, for run.json;
+  // empty: none. Begin replaces an existing run that ended before its first checkpoint.
   //   AlreadyExists: the folder has a run, or one that lost its checkpoints; or they cannot be listed.
   //   FailedPrecondition: another process uses it.
   static absl::StatusOr<std::unique_ptr<RunFolder>> Create(const std::string& logdir, const v1::RunConfig& config,
-                                                           const ProgramInfo& program, Clock* clock,
+                                                           const std::string& texture_digest, Clock* clock,
                                                            const std::string& origin = "");
 
-  // Prepares to resume from a checkpoint, and counts the logged episodes up to it. Begin removes later checkpoints and
-  // truncates the logs.
+  // Prepares to resume from the checkpoint `from` ("iter-00000020"; empty: the newest), and counts the logged episodes
+  // up to it. Begin removes later checkpoints and truncates the logs.
   //   NotFound: no run there, or one that ended before its first checkpoint.   AlreadyExists: the run lost its
-  //   checkpoints.   FailedPrecondition: in use, other textures, other agent.
+  //   checkpoints.   FailedPrecondition: in use, other textures.
   //   DataLoss: the checkpoint is torn, or a log is shorter than the checkpoint states.
-  static absl::StatusOr<ResumedRun> Resume(const std::string& logdir, const ResumeOptions& options,
-                                           const ProgramInfo& program, Clock* clock);
+  static absl::StatusOr<ResumedRun> Resume(const std::string& logdir, const std::string& from,
+                                           const std::string& texture_digest, Clock* clock);
 
   const std::string& logdir() const { return logdir_; }
   const std::string& run_id() const { return run_id_; }  // "20240131-154500-a1b2c3", UTC
@@ -114,7 +102,7 @@ class RunFolder {
   absl::Status WriteCheckpoint(Checkpoint checkpoint);
 
  private:
-  RunFolder(std::string logdir, FolderLock lock, ProgramInfo program, Clock* clock);
+  RunFolder(std::string logdir, FolderLock lock, std::string texture_digest, Clock* clock);
   absl::Status CheckFits(const v1::CheckpointState& state) const;
   // Checks that the logs have the lengths in `state`, and counts their episodes.
   absl::Status CountLogs(const v1::CheckpointState& state);
@@ -130,7 +118,7 @@ class RunFolder {
 
   const std::string logdir_;
   const FolderLock lock_;
-  const ProgramInfo program_;
+  const std::string texture_digest_;
   Clock* const clock_;
   std::string origin_;  // of a new run
   std::string run_id_;

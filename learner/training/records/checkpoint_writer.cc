@@ -49,8 +49,9 @@ void CheckpointWriter::ServeRequests(int64_t iteration) {
 
 absl::Status CheckpointWriter::WriteLast(int64_t iteration) {
   absl::Status status = WriteUnlessWritten(iteration);
-  while (absl::IsResourceExhausted(status) &&
-         parts_.disk->Wait(status, "the last checkpoint will be written once there is space")) {
+  while (absl::IsResourceExhausted(status) || absl::IsPermissionDenied(status)) {
+    const absl::string_view when = absl::IsResourceExhausted(status) ? "there is space" : "that is allowed";
+    if (!parts_.disk->Wait(status, absl::StrCat("the last checkpoint will be written once ", when))) break;
     status = Write();
   }
   return status;

@@ -50,8 +50,8 @@ class CheckpointWriter {
   // The run's state has changed without a further iteration: WriteUnlessWritten and WriteLast write again.
   void NoteChange() { written_ = -1; }
 
-  // To be called after the last `iteration`: as WriteUnlessWritten, but retries while the disk is full, until training
-  // is asked to stop.
+  // To be called after the last `iteration`: as WriteUnlessWritten, but retries while the disk is full or may not be
+  // written, until training is asked to stop.
   absl::Status WriteLast(int64_t iteration);
 
   // Time since the last checkpoint, or since construction.

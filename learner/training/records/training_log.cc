@@ -82,13 +82,14 @@ void TrainingLog::AddStaleness(int64_t env_steps, const Staleness& staleness, in
 
 void TrainingLog::Flush() {
   for (absl::Status status = folder_->FlushLogs(); !status.ok(); status = folder_->FlushLogs()) {
+    if (absl::IsAborted(status)) return;  // another learner has taken over
     const std::string waiting = absl::StrFormat("%d bytes of logs are waiting for %s", folder_->waiting_bytes(),
                                                 absl::IsResourceExhausted(status) ? "space" : "the disk");
     if (folder_->waiting_bytes() < max_waiting_bytes_) {
       disk_->Report(status, waiting);
       return;
     }
-    if (!disk_->Wait(status, waiting + ", and training is waiting too") || !folder_->CheckOwned().ok()) return;
+    if (!disk_->Wait(status, waiting + ", and training is waiting too")) return;
   }
 }
 

@@ -2,8 +2,8 @@
 
 #include <algorithm>
 
+#include "common/config/config.h"
 #include "common/wire/status_service.h"
-#include "learner/training/steps_to_train.h"
 
 namespace craftfleet {
 

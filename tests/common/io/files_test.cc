@@ -11,6 +11,7 @@
 #include <gtest/gtest.h>
 
 #include "tests/fakes/file_size_limit.h"
+#include "tests/fakes/plain_user.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
 
@@ -65,6 +66,26 @@ TEST(Files, ReplaceKeepsTheMode) {
   struct stat replaced = {};
   ASSERT_EQ(::stat(path.c_str(), &replaced), 0);
   EXPECT_EQ(replaced.st_mode & 07777, 0600U);
+}
+
+TEST(Files, AFileIsReplacedInAFolderThatMayNotBeRead) {
+  const TempFolder folder;
+  ASSERT_EQ(::chmod(folder.path().c_str(), 0333), 0);
+  {
+    const PlainUser user;
+    EXPECT_THAT(ReplaceFile(folder / "a", "new"), IsOk());
+  }
+  ASSERT_EQ(::chmod(folder.path().c_str(), 0700), 0);
+  EXPECT_EQ(ReadFile(folder / "a").value(), "new");
+}
+
+TEST(Files, RemovesOnlyWhatReplaceLeft) {
+  const TempFolder folder;
+  for (const char* name : {"a.tmp", ".craftfleet-12-3.tmp", ".craftfleet-12-4.mp4"}) {
+    ASSERT_THAT(WriteFileSynced(folder / name, "half"), IsOk());
+  }
+  EXPECT_THAT(RemoveUnfinished(folder.path()), IsOk());
+  EXPECT_THAT(ListFolder(folder.path()).value(), ElementsAre(".craftfleet-12-4.mp4", "a.tmp"));
 }
 
 TEST(Files, RenameWorksForRelativeNames) {

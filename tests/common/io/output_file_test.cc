@@ -1,6 +1,7 @@
 #include "common/io/output_file.h"
 
 #include <fcntl.h>
+#include <sys/mount.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
 #include <sys/un.h>
@@ -16,6 +17,7 @@
 #include <gtest/gtest.h>
 
 #include "common/io/files.h"
+#include "tests/fakes/plain_user.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
 
@@ -86,6 +88,35 @@ TEST(OutputFile, KeepsTheOldFileUntilWrite) {
   { ASSERT_THAT(OutputFile::Open("--out", folder / "a"), IsOk()); }
   EXPECT_EQ(ReadFile(folder / "a").value(), "old");
   EXPECT_THAT(ListFolder(folder.path()).value(), ElementsAre("a"));
+}
+
+// A file of root in a folder like /tmp.
+TEST(OutputFile, OverwritesAFileThatMayNotBeReplaced) {
+  if (geteuid() != 0) GTEST_SKIP() << "only root can make a file of another user";
+  const TempFolder folder;
+  ASSERT_THAT(WriteFileSynced(folder / "a", "a long old text"), IsOk());
+  ASSERT_EQ(chmod((folder / "a").c_str(), 0666), 0);
+  ASSERT_EQ(chmod(folder.path().c_str(), 01777), 0);
+  {
+    const PlainUser user;
+    EXPECT_THAT(ReplaceFile(folder / "a", "new"), StatusIs(absl::StatusCode::kPermissionDenied, HasSubstr("rename")));
+    EXPECT_THAT(WriteTo(folder / "a", "new"), IsOk());
+  }
+  EXPECT_EQ(ReadFile(folder / "a").value(), "new");
+  EXPECT_THAT(ListFolder(folder.path()).value(), ElementsAre("a"));
+}
+
+TEST(OutputFile, OverwritesAMountedFile) {
+  const TempFolder folder;
+  for (const char* name : {"a", "mounted"}) ASSERT_THAT(WriteFileSynced(folder / name, "a long old text"), IsOk());
+  if (mount((folder / "mounted").c_str(), (folder / "a").c_str(), nullptr, MS_BIND, nullptr) != 0) {
+    GTEST_SKIP() << "only root can mount";
+  }
+  EXPECT_THAT(WriteTo(folder / "a", "new"), IsOk());
+  EXPECT_EQ(umount((folder / "a").c_str()), 0);
+  EXPECT_EQ(ReadFile(folder / "mounted").value(), "new");
+  EXPECT_EQ(ReadFile(folder / "a").value(), "a long old text");
+  EXPECT_THAT(ListFolder(folder.path()).value(), ElementsAre("a", "mounted"));
 }
 
 TEST(OutputFile, FollowsLinks) {

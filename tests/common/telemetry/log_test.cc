@@ -46,11 +46,14 @@ TEST_F(LogTest, ControlCharactersAreEscaped) {
 }
 
 TEST_F(LogTest, ControlCharactersOfTwoBytesAreEscaped) {
-  EXPECT_THAT(FormatLogLine({}, LogLevel::kInfo,
-                            "a\xc2\x9b"
-                            "2Jb\xc2\xa0\xc3\xa4\xc2",
-                            kTime),
-              HasSubstr("info: a\\u009b2Jb\xc2\xa0\xc3\xa4\xc2\n"));
+  const std::string text =
+      "a\xc2\x9b"
+      "2Jb\x7f\xc2\xa0\xc3\xa4";
+  EXPECT_THAT(FormatLogLine({}, LogLevel::kInfo, text + "\xc2", kTime),
+              HasSubstr("info: a\\u009b2Jb\\x7f\xc2\xa0\xc3\xa4\xc2\n"));
+  const std::string json = FormatLogLine(Json(), LogLevel::kInfo, text, kTime);
+  EXPECT_THAT(json, HasSubstr("a\\u009b2Jb\\u007f"));
+  EXPECT_EQ(nlohmann::json::parse(json)["message"], text);
 }
 
 TEST_F(LogTest, NoLineIsLongerThanAKilobyte) {

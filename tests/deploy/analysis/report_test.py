@@ -337,6 +337,20 @@ class Target(package.Case):
     self.assertEqual((self.folder / "report/runs.csv").read_text(), "folder\n")
     self.assertEqual((self.folder / "report/notes.md").read_text(), "old")
 
+  @unittest.skipIf(os.geteuid() != 0, "only root can make a file of another user")
+  def test_a_file_that_may_not_be_replaced_is_overwritten(self):
+    """A file of root in a folder like /tmp."""
+    target = self.folder / "report.md"
+    target.write_text("a long old text")
+    target.chmod(0o666)
+    self.folder.chmod(0o1777)
+    os.seteuid(65534)
+    try:
+      self.assertEqual(self.write_to(self.folder), 3)
+    finally:
+      os.seteuid(0)
+    self.assertEqual({path.name: path.read_bytes() for path in self.folder.iterdir()}, self.FILES)
+
   def test_a_stream_takes_the_page_alone(self):
     fifo = self.folder / "fifo"
     os.mkfifo(fifo)

@@ -1,10 +1,12 @@
 #include "learner/run/checkpoint_store.h"
 
+#include <sys/stat.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
 #include <csignal>
 #include <cstdio>
+#include <filesystem>
 #include <limits>
 #include <memory>
 #include <string>
@@ -20,6 +22,7 @@
 #include "common/base/crc32c.h"
 #include "common/io/files.h"
 #include "tests/fakes/file_size_limit.h"
+#include "tests/fakes/plain_user.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
 #include "tests/learner/run/run_samples.h"
@@ -65,7 +68,7 @@ class CheckpointStoreTest : public testing::Test {
 TEST_F(CheckpointStoreTest, LoadsWhatWasWritten) {
   const Checkpoint written = SampleCheckpoint(10, 2.5);
   ASSERT_THAT(store_.Write(written), IsOk());
-  const auto loaded = store_.Load("iter-00000010", "ppo_cnn");
+  const auto loaded = store_.Load("iter-00000010");
   ASSERT_THAT(loaded, IsOk());
   EXPECT_EQ(*loaded->weights, *written.weights);
   EXPECT_EQ(loaded->optimizer, written.optimizer);
@@ -83,7 +86,7 @@ TEST_F(CheckpointStoreTest, LoadsPlayWeightsOfAnyValueNormStart) {
     written.state.mutable_config()->mutable_ppo()->set_value_norm_start(start);
     written.state.mutable_play()->set_value_deviation(start);
     ASSERT_THAT(store_.Write(written), IsOk());
-    EXPECT_THAT(store_.LoadLatest(""), IsOk()) << start;
+    EXPECT_THAT(store_.LoadLatest(), IsOk()) << start;
   }
 }
 
@@ -121,7 +124,7 @@ TEST_F(CheckpointStoreTest, OrdersByNumberNotByText) {
   Write(99'999'999);
   Write(100'000'000);
   EXPECT_THAT(Names(), ElementsAre("iter-100000000", "iter-99999999"));
-  EXPECT_EQ(store_.LoadLatest("").value().state.iteration(), 100'000'000);
+  EXPECT_EQ(store_.LoadLatest().value().state.iteration(), 100'000'000);
 }
 
 TEST_F(CheckpointStoreTest, ATornCheckpointIsNamedWithTheNewestValidOne) {
@@ -130,12 +133,12 @@ TEST_F(CheckpointStoreTest, ATornCheckpointIsNamedWithTheNewestValidOne) {
   Write(30);
   const std::string weights = ReadFile(PathOf(30, "weights.safetensors")).value();
   ASSERT_THAT(WriteFileSynced(PathOf(30, "weights.safetensors"), weights.substr(0, 1000)), IsOk());
-  EXPECT_THAT(store_.LoadLatest(""),
+  EXPECT_THAT(store_.LoadLatest(),
               StatusIs(absl::StatusCode::kDataLoss,
                        testing::StrEq("checkpoint " + temp_ / "iter-00000030" +
                                       " is torn: weights.safetensors has 1000 of 3010 bytes; the newest valid one is "
                                       "iter-00000020: resume from it with --resume_from=iter-00000020")));
-  EXPECT_THAT(store_.Load("iter-00000020", ""), IsOk());
+  EXPECT_THAT(store_.Load("iter-00000020"), IsOk());
 }
 
 TEST_F(CheckpointStoreTest, OnlyAValidCheckpointIsOffered) {
@@ -144,18 +147,41 @@ TEST_F(CheckpointStoreTest, OnlyAValidCheckpointIsOffered) {
   Write(30);
   ASSERT_THAT(RemoveAll(PathOf(20, "state.pb")), IsOk());
   ASSERT_THAT(RemoveAll(PathOf(30, "optimizer.safetensors")), IsOk());
-  EXPECT_THAT(
-      store_.LoadLatest(""),
-      StatusIs(absl::StatusCode::kDataLoss, AllOf(HasSubstr("iter-00000030 is torn: optimizer.safetensors is missing"),
+  EXPECT_THAT(store_.LoadLatest(), StatusIs(absl::StatusCode::kDataLoss,
+                                            AllOf(HasSubstr("iter-00000030 is torn: optimizer.safetensors is missing"),
                                                   EndsWith("--resume_from=iter-00000010"))));
   ASSERT_THAT(RemoveAll(PathOf(10, "state.pb")), IsOk());
-  EXPECT_THAT(store_.LoadLatest(""), StatusIs(absl::StatusCode::kDataLoss, Not(HasSubstr("resume_from"))));
+  EXPECT_THAT(store_.LoadLatest(), StatusIs(absl::StatusCode::kDataLoss, Not(HasSubstr("resume_from"))));
+}
+
+// Otherwise a run that resumes from it would delete it, and 20 too: both have a higher name than its iteration.
+TEST_F(CheckpointStoreTest, ACheckpointUnderAFalseNameIsRefused) {
+  Write(10);
+  Write(20);
+  std::filesystem::copy(temp_ / "iter-00000010", temp_ / "iter-00000099");
+  const std::string refusal = "checkpoint " + temp_ / "iter-00000099" +
+                              " has the state after iteration 10: rename it to iter-00000010, or move it elsewhere";
+  EXPECT_THAT(store_.LoadLatest(),
+              StatusIs(absl::StatusCode::kDataLoss,
+                       testing::StrEq(refusal + "; the newest valid one is iter-00000020: resume from it with "
+                                                "--resume_from=iter-00000020")));
+  EXPECT_THAT(store_.Load("iter-00000099"), StatusIs(absl::StatusCode::kDataLoss, testing::StrEq(refusal)));
+  EXPECT_THAT(Names(), ElementsAre("iter-00000099", "iter-00000020", "iter-00000010"));
+  Write(99);
+  EXPECT_EQ(store_.LoadLatest().value().state.iteration(), 99) << "its own name is free for the run";
+}
+
+TEST_F(CheckpointStoreTest, ACheckpointUnderAFalseNameIsNotOffered) {
+  for (const int iteration : {10, 20, 30}) Write(iteration);
+  ASSERT_THAT(RenameSynced(temp_ / "iter-00000010", temp_ / "iter-00000025"), IsOk());
+  ASSERT_THAT(RemoveAll(PathOf(30, "state.pb")), IsOk());
+  EXPECT_THAT(store_.LoadLatest(), StatusIs(absl::StatusCode::kDataLoss, EndsWith("--resume_from=iter-00000020")));
 }
 
 TEST_F(CheckpointStoreTest, AFlippedBitIsDetected) {
   Write(10);
   Edit(10, "weights.safetensors", "weights 10", "weights 11");
-  EXPECT_THAT(store_.LoadLatest(""),
+  EXPECT_THAT(store_.LoadLatest(),
               StatusIs(absl::StatusCode::kDataLoss, HasSubstr("is torn: weights.safetensors has checksum ")));
 }
 
@@ -164,7 +190,7 @@ TEST_F(CheckpointStoreTest, ATruncatedManifestIsTorn) {
   const std::string manifest = ReadFile(PathOf(10, "MANIFEST")).value();
   const auto load_cut = [&](size_t length) {
     EXPECT_THAT(WriteFileSynced(PathOf(10, "MANIFEST"), manifest.substr(0, length)), IsOk());
-    return store_.LoadLatest("").status();
+    return store_.LoadLatest().status();
   };
   constexpr auto kDataLoss = absl::StatusCode::kDataLoss;
   EXPECT_THAT(load_cut(manifest.find("program") + 3),
@@ -177,7 +203,7 @@ TEST_F(CheckpointStoreTest, ATruncatedManifestIsTorn) {
 TEST_F(CheckpointStoreTest, AnotherFormatIsRefusedWithTheVersionThatWroteItAndWhatToDo) {
   Write(10);
   const auto refused = [&](const std::string& text, const std::string& advice) {
-    EXPECT_THAT(store_.LoadLatest(""),
+    EXPECT_THAT(store_.LoadLatest(),
                 StatusIs(absl::StatusCode::kFailedPrecondition, AllOf(HasSubstr(text), HasSubstr(advice))));
   };
   Edit(10, "MANIFEST", "format 2\nprogram 0.2.0", "format 3\nprogram 3.1.4");
@@ -189,31 +215,31 @@ TEST_F(CheckpointStoreTest, AnotherFormatIsRefusedWithTheVersionThatWroteItAndWh
 TEST_F(CheckpointStoreTest, AnInvalidStateIsRefused) {
   Write(10);
   Forge(10, "state.pb", "\xFF\xFF\xFF garbage");
-  EXPECT_THAT(store_.LoadLatest(""),
+  EXPECT_THAT(store_.LoadLatest(),
               StatusIs(absl::StatusCode::kDataLoss, HasSubstr("state.pb is not a CheckpointState")));
   v1::CheckpointState state = SampleCheckpoint(10).state;
   state.mutable_lanes()->RemoveLast();
   Forge(10, "state.pb", state.SerializeAsString());
-  EXPECT_THAT(store_.LoadLatest(""),
+  EXPECT_THAT(store_.LoadLatest(),
               StatusIs(absl::StatusCode::kDataLoss, HasSubstr("has 15 lanes, its configuration 16")));
   state = SampleCheckpoint(10).state;
   state.mutable_config()->mutable_ppo()->set_gamma(7);
   Forge(10, "state.pb", state.SerializeAsString());
-  EXPECT_THAT(store_.LoadLatest(""), StatusIs(absl::StatusCode::kDataLoss, HasSubstr("ppo.gamma is 7")));
+  EXPECT_THAT(store_.LoadLatest(), StatusIs(absl::StatusCode::kDataLoss, HasSubstr("ppo.gamma is 7")));
   state = SampleCheckpoint(10).state;
   state.set_env_steps(-1);
   Forge(10, "state.pb", state.SerializeAsString());
-  EXPECT_THAT(store_.LoadLatest(""), StatusIs(absl::StatusCode::kDataLoss, HasSubstr("env_steps is -1, want 0..")));
+  EXPECT_THAT(store_.LoadLatest(), StatusIs(absl::StatusCode::kDataLoss, HasSubstr("env_steps is -1, want 0..")));
 }
 
 TEST_F(CheckpointStoreTest, AnEmptyStoreOrAnUnknownNameIsNotFound) {
-  EXPECT_THAT(store_.LoadLatest(""), StatusIs(absl::StatusCode::kNotFound, HasSubstr(temp_.path())));
+  EXPECT_THAT(store_.LoadLatest(), StatusIs(absl::StatusCode::kNotFound, HasSubstr(temp_.path())));
   Write(10);
   Write(20);
-  EXPECT_THAT(store_.Load("iter-00000011", ""),
+  EXPECT_THAT(store_.Load("iter-00000011"),
               StatusIs(absl::StatusCode::kNotFound, AllOf(HasSubstr("no checkpoint iter-00000011"),
                                                           EndsWith("which has iter-00000020, iter-00000010"))));
-  EXPECT_THAT(store_.Load("../x", ""), StatusIs(absl::StatusCode::kNotFound, HasSubstr("../x")));
+  EXPECT_THAT(store_.Load("../x"), StatusIs(absl::StatusCode::kNotFound, HasSubstr("../x")));
 }
 
 TEST_F(CheckpointStoreTest, AFullDiskLeavesOnlyEarlierCheckpoints) {
@@ -224,18 +250,31 @@ TEST_F(CheckpointStoreTest, AFullDiskLeavesOnlyEarlierCheckpoints) {
                 StatusIs(absl::StatusCode::kResourceExhausted, HasSubstr("weights.safetensors")));
   }
   EXPECT_THAT(ListFolder(temp_.path()).value(), ElementsAre("iter-00000010"));
-  EXPECT_EQ(store_.LoadLatest("").value().state.iteration(), 10);
+  EXPECT_EQ(store_.LoadLatest().value().state.iteration(), 10);
   Write(20);
-  EXPECT_EQ(store_.LoadLatest("").value().state.iteration(), 20);
+  EXPECT_EQ(store_.LoadLatest().value().state.iteration(), 20);
+}
+
+TEST_F(CheckpointStoreTest, ACheckpointIsWrittenWhereOlderOnesCannotBeListed) {
+  ASSERT_EQ(::chmod(temp_.path().c_str(), 0333), 0);
+  testing::internal::CaptureStderr();
+  {
+    const PlainUser user;
+    EXPECT_THAT(store_.Write(SampleCheckpoint(10)), IsOk());
+  }
+  EXPECT_THAT(testing::internal::GetCapturedStderr(),
+              AllOf(HasSubstr("warning: cannot list " + temp_.path()), HasSubstr("the next checkpoint tries again")));
+  ASSERT_EQ(::chmod(temp_.path().c_str(), 0700), 0);
+  EXPECT_THAT(ListFolder(temp_.path()).value(), ElementsAre("iter-00000010"));
 }
 
 TEST_F(CheckpointStoreTest, OnlyATornCheckpointOfTheSameIterationIsReplaced) {
   Write(10, 1.0);
   Write(10, 2.0);
-  EXPECT_EQ(store_.LoadLatest("").value().state.best_score(), 1.0);
+  EXPECT_EQ(store_.LoadLatest().value().state.best_score(), 1.0);
   ASSERT_THAT(RemoveAll(PathOf(10, "state.pb")), IsOk());
   Write(10, 2.0);
-  EXPECT_EQ(store_.LoadLatest("").value().state.best_score(), 2.0);
+  EXPECT_EQ(store_.LoadLatest().value().state.best_score(), 2.0);
 }
 
 // It may be a good one that could not be read just now, as with too many open files.
@@ -256,13 +295,13 @@ TEST_F(CheckpointStoreTest, ACheckpointIsReplacedIfTheRunWasEvaluatedSince) {
   pending->set_episodes(5);
   waiting.evaluation_weights = {std::make_shared<std::string>("weights of then")};
   ASSERT_THAT(store_.Write(waiting), IsOk());
-  const Checkpoint loaded = store_.LoadLatest("").value();
+  const Checkpoint loaded = store_.LoadLatest().value();
   ASSERT_EQ(loaded.evaluation_weights.size(), 1u);
   EXPECT_EQ(*loaded.evaluation_weights[0], "weights of then");
   EXPECT_EQ(loaded.state.pending(0).first_episode(), 21);
 
   Write(10, 2.0);
-  EXPECT_EQ(store_.LoadLatest("").value().state.pending_size(), 0);
+  EXPECT_EQ(store_.LoadLatest().value().state.pending_size(), 0);
   EXPECT_THAT(ListFolder(temp_.path()).value(), ElementsAre("iter-00000010"));
 }
 
@@ -274,7 +313,7 @@ TEST_F(CheckpointStoreTest, AKillDuringAReplacementLeavesOneCheckpoint) {
   ASSERT_THAT(CreateFolders(temp_ / ".replaced-iter-00000010"), IsOk());
   ASSERT_THAT(CheckpointStore::Open(temp_.path()), IsOk());
   EXPECT_THAT(ListFolder(temp_.path()).value(), ElementsAre("iter-00000010")) << "the new one was there already";
-  EXPECT_THAT(store_.LoadLatest(""), IsOk());
+  EXPECT_THAT(store_.LoadLatest(), IsOk());
 }
 
 TEST_F(CheckpointStoreTest, TheNextStartRemovesLeftoversOfAKilledWriter) {
@@ -314,7 +353,7 @@ TEST_F(CheckpointStoreTest, TheNewestCheckpointIsCompleteAfterAKill) {
     ASSERT_EQ(::waitpid(writer, &status, 0), writer);
     ASSERT_TRUE(WIFSIGNALED(status));
     store_ = CheckpointStore::Open(temp_.path()).value();
-    const auto loaded = store_.LoadLatest("ppo_cnn");
+    const auto loaded = store_.LoadLatest();
     ASSERT_THAT(loaded, IsOk());
     EXPECT_GE(loaded->state.iteration(), newest);
     newest = loaded->state.iteration();
@@ -350,13 +389,13 @@ TEST(LoadFound, NamesTheNewestValidCheckpointOfARunWhoseNewestIsTorn) {
   CheckpointStore store = CheckpointStore::Open(run / "checkpoints").value();
   for (const int iteration : {10, 20, 30}) ASSERT_THAT(store.Write(SampleCheckpoint(iteration)), IsOk());
   std::string folder;
-  EXPECT_EQ(LoadFound(run.path(), "", &folder)->state.iteration(), 30);
+  EXPECT_EQ(LoadFound(run.path(), &folder)->state.iteration(), 30);
   EXPECT_EQ(folder, run / "checkpoints/iter-00000030");
   ASSERT_THAT(WriteFileSynced(run / "checkpoints/iter-00000030/weights.safetensors", "torn"), IsOk());
-  EXPECT_THAT(LoadFound(run.path(), "", &folder),
+  EXPECT_THAT(LoadFound(run.path(), &folder),
               StatusIs(absl::StatusCode::kDataLoss,
                        HasSubstr("; the newest valid one is " + (run / "checkpoints/iter-00000020") + ": give that")));
-  EXPECT_THAT(LoadFound(run / "checkpoints/iter-00000030", "", &folder),
+  EXPECT_THAT(LoadFound(run / "checkpoints/iter-00000030", &folder),
               StatusIs(absl::StatusCode::kDataLoss, Not(HasSubstr("newest valid"))))
       << "it was asked for by name";
 }

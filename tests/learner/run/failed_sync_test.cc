@@ -135,7 +135,7 @@ TEST_F(FailedSyncTest, ACheckpointExistsOnlyOnceFullySynced) {
     EXPECT_TRUE(DroppingDisk::Get().failed());
     EXPECT_THAT(ListFolder(temp_ / "store").value(), IsEmpty());
     ASSERT_THAT(store.Write(SampleCheckpoint(1)), IsOk());
-    EXPECT_EQ(*store.LoadLatest("")->weights, *SampleCheckpoint(1).weights);
+    EXPECT_EQ(*store.LoadLatest()->weights, *SampleCheckpoint(1).weights);
   }
 }
 
@@ -149,19 +149,18 @@ TEST_F(FailedSyncTest, AFailedReplacementKeepsTheOldCheckpoint) {
     FailSync("/store", nth);
     EXPECT_THAT(store.Write(evaluated), Not(IsOk()));
     EXPECT_THAT(ListFolder(temp_ / "store").value(), ElementsAre("iter-00000001"));
-    EXPECT_EQ(store.LoadLatest("")->state.final_evaluation_steps(), 0);
+    EXPECT_EQ(store.LoadLatest()->state.final_evaluation_steps(), 0);
   }
   ASSERT_THAT(store.Write(evaluated), IsOk());
-  EXPECT_EQ(store.LoadLatest("")->state.final_evaluation_steps(), 4096);
+  EXPECT_EQ(store.LoadLatest()->state.final_evaluation_steps(), 4096);
 }
 
 TEST_F(FailedSyncTest, ARunResumesFromCompleteLogs) {
   const std::string logdir = temp_ / "run";
-  const ProgramInfo program = {"0.2.0", "39702b5", "digest1"};
   FakeClock clock;
   std::string wanted;
   {
-    auto folder = RunFolder::Create(logdir, ResolveRunConfig(DefaultRunConfig()).value(), program, &clock).value();
+    auto folder = RunFolder::Create(logdir, ResolveRunConfig(DefaultRunConfig()).value(), "digest1", &clock).value();
     ASSERT_THAT(folder->Begin(), IsOk());
     for (int iteration = 1; iteration <= 3; ++iteration) {
       folder->AddEpisodes({SampleEpisode(iteration, 1)});
@@ -173,7 +172,7 @@ TEST_F(FailedSyncTest, ARunResumesFromCompleteLogs) {
     }
   }
   EXPECT_EQ(ReadFile(logdir + "/stats.jsonl").value(), wanted);
-  const auto run = RunFolder::Resume(logdir, {}, program, &clock);
+  const auto run = RunFolder::Resume(logdir, "", "digest1", &clock);
   ASSERT_THAT(run, IsOk());
   EXPECT_EQ(run->folder->score().episodes(), 3);
 }

@@ -38,7 +38,7 @@ class FinishedRunTest : public RunFolderTest {
   }
   // Resumes with another number of steps.
   std::unique_ptr<RunFolder> ResumeTo(int64_t steps, const std::string& from = "") {
-    absl::StatusOr<ResumedRun> run = Look({from, ""});
+    absl::StatusOr<ResumedRun> run = Look(from);
     EXPECT_THAT(run, IsOk());
     if (!run.ok()) return nullptr;
     v1::RunConfig config = run->folder->config();

@@ -26,17 +26,17 @@ class RunFolderTest : public testing::Test {
   std::unique_ptr<RunFolder> Create() {
     v1::RunConfig config = ResolveRunConfig(DefaultRunConfig()).value();
     config.mutable_checkpoint()->set_every_iterations(every_iterations_);
-    auto folder = RunFolder::Create(logdir_, config, program_, &clock_);
+    auto folder = RunFolder::Create(logdir_, config, texture_digest_, &clock_);
     EXPECT_THAT(folder, IsOk());
     if (!folder.ok()) return nullptr;
     EXPECT_THAT((*folder)->Begin(), IsOk());
     return *std::move(folder);
   }
-  absl::StatusOr<ResumedRun> Look(const ResumeOptions& options = {}) {
-    return RunFolder::Resume(logdir_, options, program_, &clock_);
+  absl::StatusOr<ResumedRun> Look(const std::string& from = "") {
+    return RunFolder::Resume(logdir_, from, texture_digest_, &clock_);
   }
-  absl::StatusOr<ResumedRun> Resume(const ResumeOptions& options = {}) {
-    absl::StatusOr<ResumedRun> run = Look(options);
+  absl::StatusOr<ResumedRun> Resume(const std::string& from = "") {
+    absl::StatusOr<ResumedRun> run = Look(from);
     EXPECT_TRUE(!run.ok() || run->folder->Begin().ok());
     return run;
   }
@@ -65,7 +65,7 @@ class RunFolderTest : public testing::Test {
   int every_iterations_ = 1;  // a checkpoint is periodic
   const TempFolder temp_;
   const std::string logdir_ = temp_ / "runs/a";
-  const ProgramInfo program_{"0.2.0", "39702b5", "digest1"};
+  const std::string texture_digest_ = "digest1";
   FakeClock clock_;
 };
 

@@ -2,6 +2,7 @@
 
 #include <unistd.h>
 
+#include <filesystem>
 #include <memory>
 #include <string>
 #include <utility>
@@ -12,6 +13,7 @@
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
 
+#include "common/process/version.h"
 #include "tests/fakes/file_size_limit.h"
 #include "tests/learner/run/run_folder_fixture.h"
 
@@ -30,8 +32,8 @@ TEST_F(RunFolderTest, DescribesTheRun) {
   EXPECT_EQ(ReadFile(logdir_ + "/config.txt").value(), FormatRunConfig(folder->config()));
   EXPECT_EQ(nlohmann::json::parse(ReadFile(logdir_ + "/run.json").value()),
             nlohmann::json({{"run_id", folder->run_id()},
-                            {"program_version", "0.2.0"},
-                            {"git_revision", "39702b5"},
+                            {"program_version", std::string(ProgramVersion())},
+                            {"git_revision", std::string(GitRevision())},
                             {"seed", 0},
                             {"texture_digest", "digest1"}}));
   EXPECT_THAT(ListFolder(logdir_).value(),
@@ -42,7 +44,7 @@ TEST_F(RunFolderTest, DescribesTheRun) {
 
 TEST_F(RunFolderTest, ANewRunIsRefusedInAFolderWithARun) {
   ASSERT_NO_FATAL_FAILURE(MakeRun());
-  const auto second = RunFolder::Create(logdir_, DefaultRunConfig(), program_, &clock_);
+  const auto second = RunFolder::Create(logdir_, DefaultRunConfig(), texture_digest_, &clock_);
   EXPECT_THAT(second, StatusIs(absl::StatusCode::kAlreadyExists,
                                AllOf(HasSubstr(logdir_), HasSubstr("--resume"), HasSubstr("--logdir"))));
 }
@@ -61,7 +63,7 @@ TEST_F(RunFolderTest, ARunThatLostItsCheckpointsIsNotOverwritten) {
   ASSERT_THAT(RenameSynced(logdir_ + "/checkpoints", temp_ / "away"), IsOk());
   const auto lost = [this](const std::string& reason) {
     const auto before = Contents();
-    EXPECT_THAT(RunFolder::Create(logdir_, DefaultRunConfig(), program_, &clock_),
+    EXPECT_THAT(RunFolder::Create(logdir_, DefaultRunConfig(), texture_digest_, &clock_),
                 StatusIs(absl::StatusCode::kAlreadyExists, AllOf(HasSubstr(reason), HasSubstr("another --logdir"))));
     EXPECT_THAT(Look().status().message(), HasSubstr(reason));
     EXPECT_TRUE(Contents() == before) << reason;
@@ -70,6 +72,11 @@ TEST_F(RunFolderTest, ARunThatLostItsCheckpointsIsNotOverwritten) {
   ASSERT_THAT(CreateFolders(logdir_ + "/checkpoints"), IsOk());  // where a disk is not mounted
   lost("put its checkpoints back");
   ASSERT_THAT(RemoveAll(logdir_ + "/stats.jsonl"), IsOk());
+  for (const char* log : {"/stats.jsonl.gz", "/weights.safetensors"}) {  // of an archived run, or of a result
+    ASSERT_THAT(RenameSynced(logdir_ + "/events.out.tfevents.craftfleet", logdir_ + log), IsOk());
+    lost(absl::StrCat(log, " has "));
+    ASSERT_THAT(RenameSynced(logdir_ + log, logdir_ + "/events.out.tfevents.craftfleet"), IsOk());
+  }
   lost("events.out.tfevents.craftfleet has ");
   ASSERT_THAT(RemoveAll(logdir_ + "/checkpoints"), IsOk());
   ASSERT_EQ(::symlink("nowhere", (logdir_ + "/checkpoints").c_str()), 0);
@@ -79,7 +86,7 @@ TEST_F(RunFolderTest, ARunThatLostItsCheckpointsIsNotOverwritten) {
 // A new run whose checkpoints are to be on another disk, which was away only when it began.
 TEST_F(RunFolderTest, ALogIsRemovedOnlyOnceThereIsAPlaceForCheckpoints) {
   Create();
-  auto folder = RunFolder::Create(logdir_, ResolveRunConfig(DefaultRunConfig()).value(), program_, &clock_);
+  auto folder = RunFolder::Create(logdir_, ResolveRunConfig(DefaultRunConfig()).value(), texture_digest_, &clock_);
   ASSERT_THAT(folder, IsOk());
   ASSERT_THAT(RemoveAll(logdir_ + "/checkpoints"), IsOk());
   ASSERT_EQ(::symlink("nowhere", (logdir_ + "/checkpoints").c_str()), 0);
@@ -89,7 +96,8 @@ TEST_F(RunFolderTest, ALogIsRemovedOnlyOnceThereIsAPlaceForCheckpoints) {
 }
 
 TEST_F(RunFolderTest, RecordsTheOriginOfItsWeights) {
-  const auto folder = RunFolder::Create(logdir_, DefaultRunConfig(), program_, &clock_, "run b after iteration 3");
+  const auto folder =
+      RunFolder::Create(logdir_, DefaultRunConfig(), texture_digest_, &clock_, "run b after iteration 3");
   ASSERT_THAT(folder, IsOk());
   ASSERT_THAT((*folder)->Begin(), IsOk());
   EXPECT_EQ(nlohmann::json::parse(ReadFile(logdir_ + "/run.json").value())["init_from"], "run b after iteration 3");
@@ -115,7 +123,7 @@ TEST_F(RunFolderTest, ASecondLearnerIsRefusedAndTheFirstIsNamed) {
   const auto first = Create();
   const auto matcher = StatusIs(absl::StatusCode::kFailedPrecondition,
                                 HasSubstr(absl::StrCat("in use by process ", ::getpid(), " on ")));
-  EXPECT_THAT(RunFolder::Create(logdir_, DefaultRunConfig(), program_, &clock_), matcher);
+  EXPECT_THAT(RunFolder::Create(logdir_, DefaultRunConfig(), texture_digest_, &clock_), matcher);
   EXPECT_THAT(Resume(), matcher);
 }
 
@@ -149,7 +157,7 @@ TEST_F(RunFolderTest, AResumedRunWritesTheSameFilesAsAnUninterruptedOne) {
 TEST_F(RunFolderTest, ResumingFromAnOlderCheckpointRemovesNewerOnes) {
   MakeRun();
   {
-    const auto run = Resume({"iter-00000001", ""});
+    const auto run = Resume("iter-00000001");
     ASSERT_THAT(run, IsOk());
     EXPECT_EQ(run->folder->score().episodes(), 2);
     EXPECT_THAT(run->folder->checkpoints().ListNewestFirst().value(), ElementsAre("iter-00000001"));
@@ -164,7 +172,7 @@ TEST_F(RunFolderTest, CreateAndResumeChangeNothing) {
   ASSERT_THAT(CreateFolders(logdir_ + "/checkpoints/.tmp-1-iter-00000003"), IsOk());
   const auto before = Contents();
   {
-    const auto run = Look({"iter-00000001", ""});
+    const auto run = Look("iter-00000001");
     ASSERT_THAT(run, IsOk());
     EXPECT_EQ(run->folder->score().episodes(), 2);
     EXPECT_EQ(run->folder->epoch(), 2);
@@ -172,13 +180,14 @@ TEST_F(RunFolderTest, CreateAndResumeChangeNothing) {
   }
   ASSERT_THAT(Look(), IsOk());
   EXPECT_EQ(Contents(), before);
-  EXPECT_THAT(RunFolder::Create(logdir_, DefaultRunConfig(), program_, &clock_),
+  EXPECT_THAT(RunFolder::Create(logdir_, DefaultRunConfig(), texture_digest_, &clock_),
               StatusIs(absl::StatusCode::kAlreadyExists, testing::_));
   EXPECT_EQ(Contents(), before);
 }
 
 TEST_F(RunFolderTest, ANewRunThatDoesNotBeginLeavesNothing) {
-  ASSERT_THAT(RunFolder::Create(logdir_, ResolveRunConfig(DefaultRunConfig()).value(), program_, &clock_), IsOk());
+  ASSERT_THAT(RunFolder::Create(logdir_, ResolveRunConfig(DefaultRunConfig()).value(), texture_digest_, &clock_),
+              IsOk());
   EXPECT_THAT(Contents(), testing::IsEmpty());
 }
 
@@ -229,7 +238,7 @@ TEST_F(RunFolderTest, OfTwoSimultaneousStartsTheSecondToBeginIsRefused) {
 TEST_F(RunFolderTest, ACheckpointDescribesTheRun) {
   MakeRun();
   const v1::CheckpointState state = Resume().value().checkpoint.state;
-  EXPECT_EQ(state.program_version(), "0.2.0");
+  EXPECT_EQ(state.program_version(), ProgramVersion());
   EXPECT_EQ(state.texture_digest(), "digest1");
   EXPECT_EQ(state.config().agent(), "ppo_cnn");
   EXPECT_EQ(state.lanes(3).snapshot(), "snapshot of lane 3");
@@ -247,11 +256,11 @@ TEST_F(RunFolderTest, TheBestScoreNeverDecreases) {
   ASSERT_THAT(folder->WriteCheckpoint(SampleCheckpoint(1)), IsOk());
   folder->AddEpisodes({SampleEpisode(10, 0)});
   ASSERT_THAT(folder->WriteCheckpoint(SampleCheckpoint(2)), IsOk());
-  EXPECT_EQ(folder->checkpoints().LoadLatest("").value().state.best_score(), 5);
+  EXPECT_EQ(folder->checkpoints().LoadLatest().value().state.best_score(), 5);
   folder.reset();
   auto run = Resume();
   ASSERT_THAT(run->folder->WriteCheckpoint(SampleCheckpoint(3)), IsOk());
-  EXPECT_EQ(run->folder->checkpoints().LoadLatest("").value().state.best_score(), 5);
+  EXPECT_EQ(run->folder->checkpoints().LoadLatest().value().state.best_score(), 5);
 }
 
 // Otherwise the bytes of later checkpoints, and which one is kept, would depend on when a run was stopped.
@@ -262,14 +271,14 @@ TEST_F(RunFolderTest, ACheckpointOnRequestIsNeverTheBest) {
   ASSERT_THAT(folder->WriteCheckpoint(SampleCheckpoint(1)), IsOk());
   folder->AddEpisodes({SampleEpisode(10, 0)});
   ASSERT_THAT(folder->WriteCheckpoint(SampleCheckpoint(2)), IsOk());
-  EXPECT_EQ(folder->checkpoints().LoadLatest("").value().state.best_score(), 2.5);
+  EXPECT_EQ(folder->checkpoints().LoadLatest().value().state.best_score(), 2.5);
 }
 
 TEST_F(RunFolderTest, ARunThatLostItsConfigurationIsNotOverwritten) {
   ASSERT_NO_FATAL_FAILURE(MakeRun());
   ASSERT_THAT(RemoveAll(logdir_ + "/config.txt"), IsOk());
   const auto before = Contents();
-  EXPECT_THAT(RunFolder::Create(logdir_, DefaultRunConfig(), program_, &clock_),
+  EXPECT_THAT(RunFolder::Create(logdir_, DefaultRunConfig(), texture_digest_, &clock_),
               StatusIs(absl::StatusCode::kAlreadyExists, HasSubstr("lost its config.txt: put back")));
   EXPECT_TRUE(Contents() == before);
 }
@@ -281,18 +290,17 @@ TEST_F(RunFolderTest, ResumingARunWithoutACheckpointSuggestsANewStart) {
                                       HasSubstr("ended before its first one; start it again without --resume")));
   Create();
   EXPECT_THAT(Look(), is_told);
-  EXPECT_THAT(Look({"iter-00000010", ""}), is_told);
+  EXPECT_THAT(Look("iter-00000010"), is_told);
   ASSERT_THAT(RemoveAll(logdir_ + "/checkpoints"), IsOk());  // killed even earlier
   EXPECT_THAT(Look(), is_told);
   EXPECT_NE(Create(), nullptr) << "a new start works";
 }
 
-TEST_F(RunFolderTest, ARunOfOtherTexturesOrAnotherAgentIsRefused) {
+TEST_F(RunFolderTest, ARunOfOtherTexturesIsRefused) {
   MakeRun();
-  EXPECT_THAT(RunFolder::Resume(logdir_, {}, {"0.2.0", "39702b5", "digest2"}, &clock_),
+  EXPECT_THAT(RunFolder::Resume(logdir_, "", "digest2", &clock_),
               StatusIs(absl::StatusCode::kFailedPrecondition,
                        AllOf(HasSubstr("digest1"), HasSubstr("digest2"), HasSubstr("--textures"))));
-  EXPECT_THAT(Resume({"", "oc_sa"}), StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("oc_sa")));
   EXPECT_EQ(ReadEpoch(logdir_).value(), 1);
 }
 
@@ -305,7 +313,7 @@ TEST_F(RunFolderTest, ALogThatLostLinesIsRefusedExceptForAnOlderCheckpoint) {
       StatusIs(absl::StatusCode::kDataLoss,
                AllOf(HasSubstr(absl::StrCat("stats.jsonl has ", first.size(), " bytes, but the checkpoint expects")),
                      HasSubstr("go back to an older checkpoint with --resume_from"))));
-  EXPECT_THAT(Resume({"iter-00000001", ""}), IsOk());
+  EXPECT_THAT(Resume("iter-00000001"), IsOk());
 }
 
 TEST_F(RunFolderTest, ACheckpointAfterALogWasCutCanBeResumedFrom) {
@@ -332,6 +340,58 @@ TEST_F(RunFolderTest, ACheckpointAfterALogWasCutCanBeResumedFrom) {
   ASSERT_THAT(run, IsOk());
   EXPECT_EQ(run->checkpoint.state.iteration(), 2);
   EXPECT_EQ(ReadFile(logdir_ + "/stats.jsonl").value(), FormatStatsLine(SampleEpisode(200, 2)));
+}
+
+// As by an editor, sed -i, rm or a copy that is put back.
+TEST_F(RunFolderTest, ACheckpointAfterALogWasReplacedCanBeResumedFrom) {
+  const std::string stats = logdir_ + "/stats.jsonl", argmax = logdir_ + "/eval_argmax.jsonl";
+  const std::string first = FormatStatsLine(SampleEpisode(100, 1)), second = FormatStatsLine(SampleEpisode(200, 2));
+  {
+    const auto folder = Create();
+    ASSERT_THAT(folder->WriteCheckpoint(SampleCheckpoint(1)), IsOk());
+    folder->AddEpisodes({SampleEpisode(100, 1)});
+    folder->AddEvaluation(false, {SampleEpisode(1, 1)}, {});
+    ASSERT_THAT(folder->FlushLogs(), IsOk());
+    ASSERT_THAT(ReplaceFile(stats, first), IsOk());
+    ASSERT_THAT(RemoveAll(argmax), IsOk());
+    folder->AddEpisodes({SampleEpisode(200, 2)});
+    testing::internal::CaptureStderr();
+    ASSERT_THAT(folder->WriteCheckpoint(SampleCheckpoint(2)), IsOk());
+    const std::string log = testing::internal::GetCapturedStderr();
+    for (const std::string& path : {stats, argmax}) {
+      EXPECT_THAT(log, HasSubstr("error: " + path + " was replaced or removed by something else; the run goes on"));
+    }
+    EXPECT_THAT(log, AllOf(HasSubstr(argmax + " has 0 bytes"), testing::Not(HasSubstr(stats + " has "))));
+  }
+  const auto run = Resume();
+  ASSERT_THAT(run, IsOk());
+  EXPECT_EQ(run->checkpoint.state.iteration(), 2);
+  EXPECT_EQ(ReadFile(stats).value(), first + second) << "a whole copy loses nothing";
+  EXPECT_EQ(ReadFile(argmax).value(), "");
+}
+
+// As after cp -al.
+TEST_F(RunFolderTest, ResumingAHardLinkedCopyLeavesTheOriginalUnchanged) {
+  MakeRun();
+  const auto before = Contents();
+  std::filesystem::copy(logdir_, temp_ / "copy",
+                        std::filesystem::copy_options::recursive | std::filesystem::copy_options::create_hard_links);
+  {
+    auto run = RunFolder::Resume(temp_ / "copy", "iter-00000001", texture_digest_, &clock_);
+    ASSERT_THAT(run, IsOk());
+    ASSERT_THAT(run->folder->Begin(), IsOk());
+    run->folder->AddEpisodes({SampleEpisode(7, 7)});
+    ASSERT_THAT(run->folder->WriteCheckpoint(SampleCheckpoint(2)), IsOk());
+  }
+  EXPECT_TRUE(Contents() == before);
+  EXPECT_THAT(Resume(), IsOk());
+}
+
+TEST_F(RunFolderTest, TheNextStartRemovesLeftoversOfAKilledLearner) {
+  MakeRun();
+  ASSERT_THAT(WriteFileSynced(logdir_ + "/.craftfleet-12-3.tmp", "half"), IsOk());
+  ASSERT_THAT(Resume(), IsOk());
+  EXPECT_FALSE(PathExists(logdir_ + "/.craftfleet-12-3.tmp"));
 }
 
 // Every log ends complete, whichever of them had space at first.

@@ -253,18 +253,18 @@ class Training {
   }
   // Waits for the weights of `version`; empty after a minute.
   std::string Weights(int64_t version) {
-    for (int tries = 0; tries < 60; ++tries) {
-      v1::WeightsRequest request;
-      request.set_at_least(version);
-      request.set_wait_ms(1000);
+    v1::WeightsRequest request;
+    request.set_at_least(version);
+    std::string weights;
+    const auto download = [&] {
       grpc::ClientContext context;
       const auto stream = stub_->GetWeights(&context, request);
-      std::string weights;
+      weights.clear();
       v1::WeightsChunk chunk;
       while (stream->Read(&chunk)) weights += chunk.data();
-      if (stream->Finish().ok()) return weights;
-    }
-    return "";
+      return stream->Finish().ok();
+    };
+    return WaitUntil(download, absl::Minutes(1)) ? weights : "";
   }
   double Metric(const std::string& name) {
     v1::StatusReply reply;

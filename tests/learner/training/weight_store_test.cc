@@ -39,15 +39,5 @@ TEST(WeightStore, KeepsTheVersionsThatAreWanted) {
   EXPECT_EQ(store.Find(4).version, 3);
 }
 
-TEST(WeightStore, TheObserverSeesEachVersionUntilItIsRemoved) {
-  WeightStore store;
-  int seen = 0;
-  store.SetObserver([&seen] { ++seen; });
-  for (int64_t version = 0; version < 3; ++version) store.Publish(version, WeightsOf(version));
-  store.SetObserver(nullptr);
-  store.Publish(3, WeightsOf(3));
-  EXPECT_EQ(seen, 3);
-}
-
 }  // namespace
 }  // namespace craftfleet

@@ -219,7 +219,8 @@ def is_stream(path: str) -> bool:
 class OutputFile:
   """The file or stream that a flag names. Opened before the work, so that a target that cannot be written is refused then.
 
-  A file is replaced at once: it has its old content or the new one, and a link to it stays one.
+  A file is replaced at once: it has its old content or the new one, and a link to it stays one. One that may be written
+  but not replaced, such as a mounted file, is overwritten.
   """
 
   def __init__(self, flag: str, path: str):
@@ -257,7 +258,17 @@ class OutputFile:
     elif self._stream is not None:
       self._try("write", lambda: self._write_stream(content))
     else:
-      self._try("write", lambda: replace_file(self.path, content))
+      self._try("write", lambda: self._write_file(content))
+
+  def _write_file(self, content: bytes) -> None:
+    try:
+      replace_file(self.path, content)
+    except OSError as error:
+      # No file may be renamed to a mounted one (EBUSY), or to another user's in a folder like /tmp (EPERM).
+      if error.errno not in (errno.EBUSY, errno.EPERM) or not os.path.exists(self.path):
+        raise
+      with open(os.open(self.path, os.O_WRONLY | os.O_TRUNC | os.O_NOFOLLOW), "wb") as file:
+        file.write(content)
 
 
 def replace_file(path: str, content: bytes) -> None:

@@ -276,7 +276,7 @@ class Watcher:
             self._put(json.loads("".join(lines)), "")
             lines.clear()
         error = child.stderr.read().strip().removeprefix("craftfleet status: ")
-      self._put(None, error or "the learner ended the stream")
+      self._put(None, error or "craftfleet status ended")
       time.sleep(1)
 
 

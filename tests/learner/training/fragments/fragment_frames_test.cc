@@ -8,7 +8,7 @@
 #include "common/config/config.h"
 #include "common/io/texture_digest.h"
 #include "envserver/game.h"
-#include "envserver/render/built_in_textures.h"
+#include "envserver/render/textures.h"
 #include "tests/fakes/status_matchers.h"
 
 namespace craftfleet {

@@ -1,5 +1,7 @@
 #include "learner/training/records/checkpoint_writer.h"
 
+#include <sys/stat.h>
+
 #include <atomic>
 #include <memory>
 #include <string>
@@ -12,6 +14,7 @@
 
 #include "tests/fakes/dropping_disk.h"
 #include "tests/fakes/file_size_limit.h"
+#include "tests/fakes/plain_user.h"
 #include "tests/fakes/wait_until.h"
 #include "tests/learner/run/run_samples.h"
 #include "tests/learner/training/records/open_run.h"
@@ -164,6 +167,18 @@ TEST_F(CheckpointWriterTest, AStopEndsTheWaitForSpace) {
   EXPECT_THAT(testing::internal::GetCapturedStderr(),
               HasSubstr("the last checkpoint will be written once there is space"));
   EXPECT_EQ(made_, 1);
+}
+
+TEST_F(CheckpointWriterTest, TheLastCheckpointWaitsUntilItMayBeWritten) {
+  CheckpointWriter writer = Every(100);
+  ASSERT_EQ(::chmod(temp_.path().c_str(), 0755), 0);
+  ASSERT_EQ(::chmod((logdir_ + "/checkpoints").c_str(), 0555), 0);
+  const PlainUser user;
+  stop_.Set();
+  testing::internal::CaptureStderr();
+  EXPECT_THAT(writer.WriteLast(0), StatusIs(absl::StatusCode::kPermissionDenied, HasSubstr("Permission denied")));
+  EXPECT_THAT(testing::internal::GetCapturedStderr(),
+              HasSubstr("the last checkpoint will be written once that is allowed; make that disk writable"));
 }
 
 // A full disk may get free space; a failed sync ends the run.

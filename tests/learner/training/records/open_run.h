@@ -19,7 +19,7 @@ namespace craftfleet {
 class OpenRun : public testing::Test {
  protected:
   OpenRun() {
-    run_ = RunFolder::Create(logdir_, ResolveRunConfig(DefaultRunConfig()).value(), program_, &clock_).value();
+    run_ = RunFolder::Create(logdir_, ResolveRunConfig(DefaultRunConfig()).value(), "digest1", &clock_).value();
     EXPECT_THAT(run_->Begin(), IsOk());
   }
   // The text of a file of the run; "none" if there is no such file.
@@ -32,7 +32,6 @@ class OpenRun : public testing::Test {
 
   const TempFolder temp_;
   const std::string logdir_ = temp_ / "run";
-  const ProgramInfo program_{"0.2.0", "39702b5", "digest1"};
   FakeClock clock_;
   std::unique_ptr<RunFolder> run_;
 };

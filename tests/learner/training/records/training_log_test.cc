@@ -175,7 +175,9 @@ TEST_F(TrainingLogTest, ATakeoverEndsTheWaitForSpace) {
   TrainingLog log(run_.get(), &disk_, /*max_waiting_bytes=*/100);
   log.AddIteration(1, {Ending(10)}, {}, 0);
   TakeOver();
+  testing::internal::CaptureStderr();
   log.Flush();
+  EXPECT_EQ(testing::internal::GetCapturedStderr(), "") << "its disk is not to blame";
   EXPECT_GT(run_->waiting_bytes(), 100);
 }
 
