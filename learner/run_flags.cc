@@ -15,6 +15,7 @@
 
 #include "common/agent/device.h"
 #include "common/base/status_macros.h"
+#include "common/base/status_prefix.h"
 #include "common/config/config.h"
 #include "common/io/files.h"
 #include "common/io/paths.h"
@@ -22,7 +23,7 @@
 #include "common/process/cpu_pin.h"
 #include "common/process/flag_values.h"
 #include "common/process/shared_flags.h"
-#include "common/wire/server_flags.h"
+#include "common/wire/wire_flags.h"
 #include "learner/run/checkpoint_store.h"
 #include "learner/runnable_config.h"
 
@@ -92,18 +93,21 @@ absl::StatusOr<bool> Resuming() {
 
 absl::StatusOr<v1::RunConfig> BaseConfig(bool resume) {
   const std::string config = absl::GetFlag(FLAGS_config);
-  if (config.empty() && !resume) return v1::RunConfig();
-  std::string path = config;
-  std::string error = "--config: ";
-  if (config.empty()) {
+  std::string path;
+  absl::StatusOr<std::string> text("");
+  if (resume) {  // also with --config: a run that is not there has no configuration
     const std::string logdir = absl::GetFlag(FLAGS_logdir);
     path = JoinPath(logdir, "config.txt");
-    error = FindCheckpoint(logdir).ok()
-                ? "--resume: the run has checkpoints; put back the configuration that it was started with: "
-                : absl::StrFormat("--resume: no run in --logdir=%s; start it without --resume: ", logdir);
+    text = WithPrefix(FindCheckpoint(logdir).ok()
+                          ? "--resume: the run has checkpoints; put back the configuration that it was started with"
+                          : absl::StrFormat("--resume: no run in --logdir=%s; start it without --resume", logdir),
+                      ReadFile(path));
   }
-  absl::StatusOr<std::string> text = ReadFile(path);
-  if (!text.ok()) return absl::Status(text.status().code(), absl::StrCat(error, text.status().message()));
+  if (text.ok() && !config.empty()) {
+    path = config;
+    text = WithPrefix("--config", ReadFile(path));
+  }
+  CRAFTFLEET_RETURN_IF_ERROR(text.status());
   return ParseRunConfig(*text, path);
 }
 

@@ -1,17 +1,21 @@
 #include "learner/run_messages.h"
 
 #include <cstdio>
+#include <memory>
 
+#include "common/agent/torch_setup.h"
 #include "common/base/numbers.h"
 #include "common/base/status_macros.h"
+#include "common/config/config.h"
 #include "common/process/program.h"
 #include "common/telemetry/log.h"
-#include "learner/training/steps_to_train.h"
+#include "common/wire/metrics.h"
 
 namespace craftfleet {
+namespace {
 
-absl::Status LogRunStart(const Learner& learner, const std::string& logdir) {
-  CRAFTFLEET_RETURN_IF_ERROR(FinishStandardOutput());
+void LogRunStart(const Learner& learner, const std::string& logdir) {
+  if (const std::string warning = SlowMathWarning(); !warning.empty()) LogWarning("%s", warning);
   LogInfo("run %s in %s%s%s", learner.run_id(), logdir, learner.address().empty() ? "" : "; listening on ",
           learner.address());
   if (const std::string page = learner.page_url(); !page.empty()) LogInfo("live page on %s", page);
@@ -24,7 +28,6 @@ absl::Status LogRunStart(const Learner& learner, const std::string& logdir) {
     LogInfo("training for %s steps instead of %s: whole iterations of %s steps", WithCommas(steps),
             WithCommas(config.steps()), WithCommas(config.ppo().rollout_steps()));
   }
-  return absl::OkStatus();
 }
 
 void LogRunEnd(const Learner& learner) {
@@ -43,6 +46,20 @@ void LogRunEnd(const Learner& learner) {
     LogWarning("%s", printed.message());
     std::clearerr(stdout);
   }
+}
+
+}  // namespace
+
+absl::Status RunWithMessages(Learner* learner, const std::string& logdir, const std::string& metrics_address,
+                             const std::function<absl::Status()>& run) {
+  CRAFTFLEET_RETURN_IF_ERROR(FinishStandardOutput());
+  LogRunStart(*learner, logdir);
+  CRAFTFLEET_ASSIGN_OR_RETURN(
+      const std::unique_ptr<wire::HttpServer> metrics,
+      wire::ServeMetrics(metrics_address, &learner->status(), [learner] { return learner->serving(); }));
+  CRAFTFLEET_RETURN_IF_ERROR(run());
+  LogRunEnd(*learner);
+  return absl::OkStatus();
 }
 
 }  // namespace craftfleet

@@ -17,11 +17,4 @@ inline uint64_t Fnv1a(uint64_t hash, absl::string_view bytes) {
   return hash;
 }
 
-// The same over a word of 8 bytes at once, several times as fast, with the high bits mixed in; another hash than of its
-// bytes one by one.
-inline uint64_t Fnv1aWord(uint64_t hash, uint64_t word) {
-  hash = (hash ^ word) * kFnv1aPrime;
-  return hash ^ (hash >> 32);
-}
-
 }  // namespace craftfleet

@@ -9,6 +9,8 @@
 #include <absl/strings/str_cat.h>
 #include <absl/strings/string_view.h>
 
+#include "common/base/numbers.h"
+
 namespace craftfleet {
 
 // Of anything that is counted: doubles, which metrics are, count exactly up to here.
@@ -20,10 +22,12 @@ class RangeCheck {
   // NaN is never within a range.
   template <typename T>
   void Within(absl::string_view field, T value, T low, T high) {
-    if (!(value >= low && value <= high)) Fail(absl::StrCat(field, " is ", value, ", want ", low, "..", high));
+    if (!(value >= low && value <= high))
+      Fail(absl::StrCat(field, " is ", Exactly(value), ", want ", Exactly(low), "..", Exactly(high)));
   }
   void Positive(absl::string_view field, double value, double high) {
-    if (!(value > 0 && value <= high)) Fail(absl::StrCat(field, " is ", value, ", want more than 0, at most ", high));
+    if (value > 0 && value <= high) return;
+    Fail(absl::StrCat(field, " is ", ExactNumber(value), ", want more than 0, at most ", ExactNumber(high)));
   }
   void Named(absl::string_view field, absl::string_view value) {
     if (value.empty()) Fail(absl::StrCat(field, " is empty, want a name"));

@@ -11,6 +11,7 @@
 #include <google/protobuf/text_format.h>
 
 #include "common/base/check.h"
+#include "common/base/numbers.h"
 #include "common/base/range_check.h"
 #include "common/base/status_macros.h"
 
@@ -121,7 +122,7 @@ absl::Status CheckObjects(const Network& network) {
   check.That(network.heads() < 1 || kAttentionWidth % network.heads() == 0,
              absl::StrCat("network.heads is ", network.heads(), ", want a divisor of ", kAttentionWidth));
   check.That(network.dropout() >= 0 && network.dropout() < 1,
-             absl::StrCat("network.dropout is ", network.dropout(), ", want at least 0, less than 1"));
+             absl::StrCat("network.dropout is ", ExactNumber(network.dropout()), ", want at least 0, less than 1"));
   if (network.objects() == Network::CROSS_ATTENTION) check.Within("network.slots", network.slots(), 1, kMaxSlots);
   return check.status();
 }

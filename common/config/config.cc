@@ -13,6 +13,7 @@
 #include <google/protobuf/util/message_differencer.h>
 
 #include "common/base/check.h"
+#include "common/base/numbers.h"
 #include "common/base/range_check.h"
 #include "common/base/status_macros.h"
 #include "common/config/agent_presets.h"
@@ -64,8 +65,9 @@ absl::Status CheckRanges(const v1::RunConfig& config) {
   check.Positive("ppo.max_gradient_norm", ppo.max_gradient_norm(), 1e6);
   // As a float32 it must not be 0: the second moment may be 0.
   check.Within("ppo.adam_epsilon", ppo.adam_epsilon(), 1e-30, 1.0);
-  check.That(ppo.value_norm_decay() >= 0 && ppo.value_norm_decay() < 1,
-             absl::StrCat("ppo.value_norm_decay is ", ppo.value_norm_decay(), ", want at least 0, less than 1"));
+  check.That(
+      ppo.value_norm_decay() >= 0 && ppo.value_norm_decay() < 1,
+      absl::StrCat("ppo.value_norm_decay is ", ExactNumber(ppo.value_norm_decay()), ", want at least 0, less than 1"));
   check.Positive("ppo.value_norm_start", ppo.value_norm_start(), 100);
   const v1::DistillationConfig& distillation = config.distillation();
   check.Within("distillation.every_iterations", distillation.every_iterations(), 0, 1000);

@@ -2,6 +2,7 @@
 
 #pragma once
 
+#include <cstdint>
 #include <string>
 
 #include <absl/status/status.h>
@@ -43,6 +44,12 @@ std::string Differences(const v1::RunConfig& first, const v1::RunConfig& second)
 //   InvalidArgument: names the field, its value and its range. Environment names are checked later, where the
 //   environments are built.
 absl::Status ValidateRunConfig(const v1::RunConfig& config);
+
+// Environment steps after which the run of `config`, a complete one, ends: its `steps`, rounded up to whole iterations.
+inline int64_t StepsToTrain(const v1::RunConfig& config) {
+  const int64_t iteration = config.ppo().rollout_steps();
+  return (config.steps() + iteration - 1) / iteration * iteration;
+}
 
 // Text format, fields in the order of config.proto. ParseRunConfig of the result yields the same message.
 std::string FormatRunConfig(const v1::RunConfig& config);

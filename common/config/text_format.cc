@@ -59,10 +59,17 @@ std::string KnownValues(absl::string_view message, const Descriptor& type) {
   return absl::StrCat(" (known values: ", absl::StrJoin(names, ", "), ")");
 }
 
-// "learning_rate: " if the text before `column` of `line` ends in "learning_rate:" or, for a number's sign,
+// The byte of `line` at a column of Protobuf's, where a tab reaches up to the next multiple of 8.
+size_t ByteAt(absl::string_view line, int column) {
+  size_t byte = 0;
+  for (int at = 0; byte < line.size() && at < column; ++byte) at = line[byte] == '\t' ? (at / 8 + 1) * 8 : at + 1;
+  return byte;
+}
+
+// "learning_rate: " if the text before `byte` of `line` ends in "learning_rate:" or, for a number's sign,
 // "learning_rate: -"; else "".
-std::string FieldBefore(absl::string_view line, int column) {
-  absl::string_view before = absl::StripTrailingAsciiWhitespace(line.substr(0, column));
+std::string FieldBefore(absl::string_view line, size_t byte) {
+  absl::string_view before = absl::StripTrailingAsciiWhitespace(line.substr(0, byte));
   if (absl::ConsumeSuffix(&before, "-")) before = absl::StripTrailingAsciiWhitespace(before);
   if (!absl::ConsumeSuffix(&before, ":")) return "";
   return absl::StrCat(before.substr(before.find_last_of(" \t{;,") + 1), ": ");
@@ -78,8 +85,9 @@ class FirstError : public google::protobuf::io::ErrorCollector {
   void AddError(int line, google::protobuf::io::ColumnNumber column, const std::string& message) override {
     if (!status_.ok()) return;
     const bool known_place = line >= 0 && line < static_cast<int>(lines_.size());
-    const std::string field = known_place ? FieldBefore(lines_[line], column) : "";
-    const std::string place = line >= 0 ? absl::StrCat(":", line + 1, ":", column + 1) : "";
+    const size_t byte = known_place ? ByteAt(lines_[line], column) : 0;
+    const std::string field = known_place ? FieldBefore(lines_[line], byte) : "";
+    const std::string place = line >= 0 ? absl::StrCat(":", line + 1, ":", byte + 1) : "";
     status_ = absl::InvalidArgumentError(
         absl::StrCat(filename_, place, ": ", field, message, FieldAdvice(message), KnownValues(message, type_)));
   }

@@ -12,6 +12,8 @@
 #include <absl/strings/string_view.h>
 #include <absl/time/time.h>
 
+#include "common/base/numbers.h"
+
 namespace craftfleet {
 
 // A whole number: 1000000, 1e6, 1.5e6, 100k, 1M or 2G (thousands, millions, billions). Fractions and values beyond 64
@@ -42,14 +44,14 @@ std::string AbslUnparseFlag(const GivenAddress& given);
 // InvalidArgument that names the flag (without dashes), its value and what was expected.
 template <typename Value>
 absl::Status InvalidFlag(absl::string_view flag, const Value& value, absl::string_view wanted) {
-  return absl::InvalidArgumentError(absl::StrCat("--", flag, "=", value, ", want ", wanted));
+  return absl::InvalidArgumentError(absl::StrCat("--", flag, "=", Exactly(value), ", want ", wanted));
 }
 
 // Whether a number or duration is within low..high; NaN is not.   InvalidArgument: it is not, as InvalidFlag.
 template <typename Value>
 absl::Status CheckFlagRange(absl::string_view flag, Value value, Value low, Value high) {
   if (value >= low && value <= high) return absl::OkStatus();
-  return InvalidFlag(flag, value, absl::StrCat(low, "..", high));
+  return InvalidFlag(flag, value, absl::StrCat(Exactly(low), "..", Exactly(high)));
 }
 absl::Status CheckFlagRange(absl::string_view flag, absl::Duration value, absl::Duration low, absl::Duration high);
 

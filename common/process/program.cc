@@ -2,6 +2,7 @@
 
 #include <fcntl.h>
 #include <poll.h>
+#include <pwd.h>
 #include <signal.h>
 #include <sys/resource.h>
 #include <time.h>
@@ -171,11 +172,13 @@ void LetSignalsEndProcess1() {
   signal(SIGINT, EndAt);
 }
 
-bool IsOfAbseil(const absl::CommandLineFlag& flag) { return absl::StrContains(flag.Filename(), "absl/"); }
+// --fromenv and --tryfromenv, which health checks of images have.
+bool TakesVariables(const absl::CommandLineFlag& flag) { return absl::EndsWith(flag.Name(), "fromenv"); }
 
+// Not Abseil's others, which bypass the checks here: a --flagfile may have unknown flags.
 absl::CommandLineFlag* FindFlag(const ProgramHelp& program, absl::string_view name) {
   absl::CommandLineFlag* const flag = absl::FindCommandLineFlag(name);
-  return flag != nullptr && (IsOfAbseil(*flag) || HasFlag(program, *flag)) ? flag : nullptr;
+  return flag != nullptr && (TakesVariables(*flag) || HasFlag(program, *flag)) ? flag : nullptr;
 }
 
 // The flag of the program that "--lanes=3", "-lanes" or "--noresume" sets; null if there is no such flag.
@@ -242,17 +245,23 @@ bool IsOptional(const absl::CommandLineFlag& flag) {
 // Refuses a value that absl would refuse without naming the program and the accepted values, and an empty one, as of
 // --seed=$SEED without that variable, that would silently stand for the default.
 void CheckValue(const ProgramHelp& program, absl::CommandLineFlag* flag, absl::string_view value) {
-  if (IsOfAbseil(*flag)) return;  // those act when they are set
+  if (TakesVariables(*flag)) return;  // it acts when it is set
   std::string error;
   if (!(value.empty() && IsOptional(*flag)) && flag->ParseFrom(value, &error)) return;
   Refuse(program, absl::StrCat("--", flag->Name(), "=", value, ", want ", Accepted(*flag, value)), "");
 }
 
+// The folder that "~" stands for; empty: unknown.
+std::string HomeFolder() {
+  if (const char* const home = std::getenv("HOME"); home != nullptr && *home != '\0') return home;
+  const passwd* const user = getpwuid(getuid());
+  return user != nullptr ? user->pw_dir : "";
+}
+
 // A shell expands "~/" at the start of a word only, so not in --logdir=~/runs.
 void ExpandHome(const ProgramHelp& program, int argc, char** argv) {
   static auto* const expanded = new std::deque<std::string>;  // argv points into it until the end
-  const char* const home = std::getenv("HOME");
-  for (int i = 1; i < argc && home != nullptr; ++i) {
+  for (int i = 1; i < argc; ++i) {
     const absl::string_view argument = argv[i];
     if (argument == "--") return;
     const size_t equals = argument.find('=');
@@ -261,6 +270,8 @@ void ExpandHome(const ProgramHelp& program, int argc, char** argv) {
     const absl::CommandLineFlag* const flag = FlagOf(program, argument);
     if (flag == nullptr || !IsOneOf<std::string, std::optional<std::string>>(*flag)) continue;
     if (!absl::ConsumePrefix(&value, "~") || (!value.empty() && value[0] != '/')) continue;
+    const std::string home = HomeFolder();
+    if (home.empty()) Refuse(program, absl::StrCat(argument, ": HOME is not set"), "");
     argv[i] = expanded->emplace_back(absl::StrCat(argument.substr(0, equals + 1), home, value)).data();
   }
 }
@@ -279,6 +290,9 @@ void RefuseBadFlags(const ProgramHelp& program, int argc, char** argv) {
       Refuse(program, absl::StrFormat("unknown flag '%s'", name), FlagLike(program, name));
     }
     if (const size_t equals = argument.find('='); equals != absl::string_view::npos) {
+      if (!absl::EndsWith(argument.substr(0, equals), absl::StrCat("-", flag->Name()))) {
+        Refuse(program, absl::StrCat(argument, ": --no", flag->Name(), " takes no value"), "");
+      }
       CheckValue(program, flag, argument.substr(equals + 1));
     } else if (!flag->IsOfType<bool>()) {
       if (++i == argc)
@@ -346,6 +360,11 @@ absl::Status FinishStandardOutput() {
   return absl::DataLossError(absl::StrCat("cannot write all of standard output: ", why));
 }
 
+absl::Status CheckStandardInput() {
+  if (std::ferror(stdin) == 0) return absl::OkStatus();
+  return absl::DataLossError(absl::StrCat("cannot read standard input: ", std::generic_category().message(errno)));
+}
+
 int ExitCode(absl::string_view program, const absl::Status& status) {
   const absl::Status printed = FinishStandardOutput();
   const absl::Status& error = status.ok() ? printed : status;
@@ -391,9 +410,8 @@ StopSignal::~StopSignal() {
   const sigset_t signals = StopSignals();
   const timespec no_wait = {};
   while (sigtimedwait(&signals, nullptr, &no_wait) > 0) continue;
-  signal(SIGTERM, SIG_DFL);
-  signal(SIGINT, SIG_DFL);
-  // SIGHUP stays ignored: the process is about to end, and a second hangup must not change its exit code.
+  // OnSignal stays for SIGTERM and SIGINT, and SIGHUP is ignored: the process is about to end, and only a second
+  // SIGTERM or SIGINT may change its exit code.
   if (handles_hangup_) signal(SIGHUP, SIG_IGN);
   pthread_sigmask(SIG_SETMASK, &before_, nullptr);
   // The pipe stays open: a thread of a library may still be in the handler.

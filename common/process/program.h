@@ -29,6 +29,9 @@ std::vector<std::string> ParseFlagsAndArguments(const ProgramHelp& program, int 
 //   it: it did not want more.
 absl::Status FinishStandardOutput();
 
+// Called where standard input seems to end.   DataLoss: it can't be read, with the reason in errno.
+absl::Status CheckStandardInput();
+
 // The exit code for `status`, to be called after all output: 0, or 1 after printing "<program>: <message>" to standard
 // error (a log line with --log_format=json). Also 1 if standard output could not be written.
 int ExitCode(absl::string_view program, const absl::Status& status);
@@ -43,9 +46,10 @@ inline constexpr int kStoppedExitCode = 130;
 
 // Calls `stop` once, on a thread of its own, at the first SIGTERM, SIGINT or SIGHUP (the terminal was closed). A second
 // SIGTERM or SIGINT ends the process at once, even while `stop` runs, unless it comes within half a second: timeout(1)
-// sends two. SIGHUP never does, because a shell and the kernel may both send it. A program started with nohup keeps
-// ignoring SIGHUP. None of them interrupts the thread that has the object (stop_signals.h). At most one object at a
-// time in a process; create it before other threads start.
+// sends two. That is so also after the object is gone, while the process ends. SIGHUP never does, because a shell and
+// the kernel may both send it. A program started with nohup keeps ignoring SIGHUP. None of them interrupts the thread
+// that has the object (stop_signals.h). At most one object at a time in a process; create it before other threads
+// start.
 class StopSignal {
  public:
   explicit StopSignal(std::function<void()> stop);

@@ -16,9 +16,9 @@
 #include "common/process/program.h"
 #include "common/process/shared_flags.h"
 #include "common/wire/channel.h"
+#include "common/wire/wire_flags.h"
 #include "craftfleet/v1/admin.grpc.pb.h"
 #include "deploy/cli/command.h"
-#include "deploy/cli/status_client.h"
 
 ABSL_FLAG(craftfleet::TimeSpan, timeout, {absl::Minutes(1)},
           "how long to wait for the command to finish, at most 24h; a plain number is in seconds\n"
@@ -116,7 +116,8 @@ absl::Status Run(const std::vector<std::string>& command) {
   if (timeout <= absl::ZeroDuration() || timeout > absl::Hours(24)) {
     return InvalidFlag("timeout", absl::FormatDuration(timeout), "more than 0, at most 24h");
   }
-  CRAFTFLEET_ASSIGN_OR_RETURN(const wire::Endpoint learner, ConnectToProcess("learner", absl::GetFlag(FLAGS_address)));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const wire::Endpoint learner,
+                              wire::ConnectToProcess("learner", absl::GetFlag(FLAGS_address)));
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::string done, Do(command, learner));
   std::puts(done.c_str());
   return absl::OkStatus();

@@ -18,7 +18,6 @@
 #include "common/process/cgroup.h"
 #include "learner/run/checkpoint.h"
 #include "learner/run/checkpoint_store.h"
-#include "learner/training/steps_to_train.h"
 
 namespace craftfleet {
 namespace {

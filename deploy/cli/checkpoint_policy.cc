@@ -14,7 +14,6 @@
 #include "common/telemetry/log.h"
 #include "learner/run/checkpoint.h"
 #include "learner/run/checkpoint_store.h"
-#include "learner/training/steps_to_train.h"
 
 namespace craftfleet {
 namespace {
@@ -55,7 +54,7 @@ absl::StatusOr<Checkpoint> LoadResult(const std::string& folder) {
 }
 
 absl::StatusOr<Checkpoint> Load(const std::string& path, std::string* folder) {
-  absl::StatusOr<Checkpoint> found = LoadFound(path, "", folder);
+  absl::StatusOr<Checkpoint> found = LoadFound(path, folder);
   if (!absl::IsNotFound(found.status()) || !IsResult(path)) return found;
   *folder = path;
   return LoadResult(path);

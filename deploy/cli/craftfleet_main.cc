@@ -123,7 +123,7 @@ absl::Status BecomePython(std::vector<std::string> words) {
   setenv("CRAFTFLEET_BIN", OwnFolder().c_str(), /*overwrite=*/0);  // where the script finds this program
   const char* const python = std::getenv("CRAFTFLEET_PYTHON");
   words.insert(words.begin(), PythonScript());
-  return Become(python != nullptr ? python : kPython, std::move(words));
+  return Become(python != nullptr && *python != '\0' ? python : kPython, std::move(words));
 }
 
 absl::Status UnknownCommand(const std::string& name) {

@@ -35,19 +35,19 @@ Finding Judged(std::string check, Verdict verdict, std::string found, std::strin
 
 }  // namespace
 
-Finding CheckCpuFeatures(const CpuFacts& cpu) {
-  const std::string found = absl::StrFormat("%s; %d threads", cpu.description, cpu.threads);
-  if (!cpu.avx2) {
+Finding CheckCpuFeatures(const std::string& description, bool avx2, bool avx512, int threads) {
+  const std::string found = absl::StrFormat("%s; %d threads", description, threads);
+  if (!avx2) {
     return {"CPU", Verdict::kWarn, absl::StrCat(found, "; no AVX2"),
             "networks run several times slower than with AVX2, and --cpu=avx2 is refused: use a newer CPU, or a "
             "virtual machine that exposes the features of its host"};
   }
-  return Ok("CPU", absl::StrCat(found, cpu.avx512 ? "; AVX2 and AVX-512" : "; AVX2, no AVX-512"));
+  return Ok("CPU", absl::StrCat(found, avx512 ? "; AVX2 and AVX-512" : "; AVX2, no AVX-512"));
 }
 
-Finding CheckBlas(const BlasFacts& blas) {
-  const std::string found = blas.library.empty() ? "built into LibTorch" : blas.library;
-  if (!blas.slow_warning.empty()) return {"BLAS", Verdict::kFail, found, blas.slow_warning};
+Finding CheckBlas(const std::string& library, const std::string& slow_warning) {
+  const std::string found = library.empty() ? "built into LibTorch" : library;
+  if (!slow_warning.empty()) return {"BLAS", Verdict::kFail, found, slow_warning};
   return Ok("BLAS", found);
 }
 
@@ -64,24 +64,24 @@ Finding CheckOpenFiles(uint64_t limit) {
                 "nofile of Docker)");
 }
 
-Finding CheckDiskSpace(const DiskFacts& disk) {
-  if (!disk.free.ok()) {
-    return {"disk space", Verdict::kFail, std::string(disk.free.status().message()), "give another --logdir"};
+Finding CheckDiskSpace(const std::string& folder, const absl::StatusOr<int64_t>& free) {
+  if (!free.ok()) {
+    return {"disk space", Verdict::kFail, std::string(free.status().message()), "give another --logdir"};
   }
-  return Judged("disk space", JudgeLeast(*disk.free, 2 * kGiB, 256 * kMiB),
-                absl::StrFormat("%s free in %s", Size(*disk.free), disk.folder),
+  return Judged("disk space", JudgeLeast(*free, 2 * kGiB, 256 * kMiB),
+                absl::StrFormat("%s free in %s", Size(*free), folder),
                 "a run keeps four checkpoints: free some space, lower --keep_checkpoints, or give another --logdir");
 }
 
-Finding CheckDiskSync(const DiskFacts& disk) {
-  if (!disk.sync.ok()) {
-    return {"disk speed", Verdict::kFail, std::string(disk.sync.status().message()),
+Finding CheckDiskSync(const std::string& folder, const absl::StatusOr<absl::Duration>& sync) {
+  if (!sync.ok()) {
+    return {"disk speed", Verdict::kFail, std::string(sync.status().message()),
             "give a --logdir that this user can write to"};
   }
-  const double seconds = absl::ToDoubleSeconds(*disk.sync);
+  const double seconds = absl::ToDoubleSeconds(*sync);
   const Verdict verdict = seconds >= 5 ? Verdict::kFail : seconds >= 0.1 ? Verdict::kWarn : Verdict::kOk;
   return Judged("disk speed", verdict,
-                absl::StrFormat("1 MiB written and synced in %.1f ms in %s", 1000 * seconds, disk.folder),
+                absl::StrFormat("1 MiB written and synced in %.1f ms in %s", 1000 * seconds, folder),
                 "every checkpoint waits for this disk: give a --logdir on a local one, or raise --checkpoint_every");
 }
 
@@ -128,7 +128,7 @@ Finding CheckPort(const std::string& address, const absl::Status& bound) {
           "end the program that has the port (ss -ltnp names it), or give another address with --listen"};
 }
 
-Finding CheckTls(const TlsFacts& tls) {
+Finding CheckTls(const wire::TlsFiles& tls, absl::Time now) {
   constexpr absl::Duration kSoon = absl::Hours(24 * 30);
   const char* remedy = "deploy/make-certs.sh makes an authority and certificates; give all of them to every process";
   const auto read = [&]() -> absl::Status {
@@ -142,9 +142,9 @@ Finding CheckTls(const TlsFacts& tls) {
     return {"TLS files", Verdict::kFail, std::string(status.message()), remedy};
   }
   if (tls.certificate.empty()) return Ok("TLS files", absl::StrCat(tls.authorities, ": readable"));
-  const std::string now = wire::CertificateProblem(tls.certificate, tls.authorities, tls.now);
-  if (!now.empty()) return {"TLS files", Verdict::kFail, now, remedy};
-  if (!wire::CertificateProblem(tls.certificate, tls.authorities, tls.now + kSoon).empty()) {
+  const std::string problem = wire::CertificateProblem(tls.certificate, tls.authorities, now);
+  if (!problem.empty()) return {"TLS files", Verdict::kFail, problem, remedy};
+  if (!wire::CertificateProblem(tls.certificate, tls.authorities, now + kSoon).empty()) {
     return {"TLS files", Verdict::kWarn, absl::StrCat(tls.certificate, " expires within 30 days"),
             "replace it: running processes read the new file within seconds"};
   }

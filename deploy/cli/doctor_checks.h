@@ -13,6 +13,7 @@
 #include <absl/time/time.h>
 
 #include "common/telemetry/gpu_usage.h"
+#include "common/wire/security.h"
 
 namespace craftfleet {
 
@@ -30,21 +31,12 @@ struct Finding {
   std::string remedy;  // what to do; empty with kOk
 };
 
-struct CpuFacts {
-  std::string description;  // model and the instruction set that LibTorch uses
-  bool avx2 = false;        // with fused multiply-add, as --cpu=avx2 requires
-  bool avx512 = false;      // all extensions that --cpu=avx512 requires
-  int threads = 1;          // CPUs that this process may use
-};
-// kWarn without AVX2.
-Finding CheckCpuFeatures(const CpuFacts& cpu);
+// `description`: model and the instruction set that LibTorch uses; `avx2` and `avx512`: whether --cpu allows them;
+// `threads`: CPUs that this process may use. kWarn without AVX2.
+Finding CheckCpuFeatures(const std::string& description, bool avx2, bool avx512, int threads);
 
-struct BlasFacts {
-  std::string library;       // file of the loaded BLAS; empty if unknown
-  std::string slow_warning;  // SlowMathWarning()
-};
-// kFail if training would be several times slower.
-Finding CheckBlas(const BlasFacts& blas);
+// `library`: file of the loaded BLAS, empty if unknown; `slow_warning`: SlowMathWarning(). kFail if there is one.
+Finding CheckBlas(const std::string& library, const std::string& slow_warning);
 
 // `available`: bytes of memory that this process can still use. kWarn below 2 GiB, kFail below 512 MiB.
 Finding CheckMemory(int64_t available);
@@ -52,16 +44,12 @@ Finding CheckMemory(int64_t available);
 // `limit`: the hard limit of open files; programs raise their soft limit to it. kWarn below 4,096, kFail below 256.
 Finding CheckOpenFiles(uint64_t limit);
 
-struct DiskFacts {
-  std::string folder;                    // the run's folder, or the nearest one above it that exists
-  absl::StatusOr<int64_t> free = 0;      // bytes
-  absl::StatusOr<absl::Duration> sync =  // to write 1 MiB and to sync it: the median of a few
-      absl::ZeroDuration();
-};
-// kWarn below 2 GiB free, kFail below 256 MiB.
-Finding CheckDiskSpace(const DiskFacts& disk);
-// kWarn from 0.1 s on; kFail from 5 s on and if the folder can't be written.
-Finding CheckDiskSync(const DiskFacts& disk);
+// `folder`: the run's, or the nearest one above it that exists. kWarn below 2 GiB `free`, kFail below 256 MiB.
+Finding CheckDiskSpace(const std::string& folder, const absl::StatusOr<int64_t>& free);
+
+// `sync`: how long it takes to write 1 MiB and to sync it. kWarn from 0.1 s on; kFail from 5 s on and if the folder
+// can't be written.
+Finding CheckDiskSync(const std::string& folder, const absl::StatusOr<absl::Duration>& sync);
 
 struct ClockFacts {
   absl::Time now;
@@ -85,12 +73,8 @@ Finding CheckGpu(const GpuFacts& gpu);
 // `bound`: the result of listening on `address` for a moment. kFail if that failed.
 Finding CheckPort(const std::string& address, const absl::Status& bound);
 
-struct TlsFacts {
-  std::string certificate, key, authorities;  // files; empty: not given
-  absl::Time now;
-};
 // Reads the files, of which at least one is given. kFail: one can't be read, does not match the others, or the
 // certificate is not valid now. kWarn: it expires within 30 days.
-Finding CheckTls(const TlsFacts& tls);
+Finding CheckTls(const wire::TlsFiles& tls, absl::Time now);
 
 }  // namespace craftfleet

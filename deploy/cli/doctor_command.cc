@@ -1,5 +1,6 @@
 // craftfleet doctor: checks this machine.
 
+#include <fcntl.h>
 #include <openssl/crypto.h>
 #include <sys/resource.h>
 #include <sys/stat.h>
@@ -50,8 +51,8 @@
 #include "common/process/version.h"
 #include "common/telemetry/gpu_usage.h"
 #include "common/wire/channel.h"
-#include "common/wire/channel_flags.h"
 #include "common/wire/listen_socket.h"
+#include "common/wire/wire_flags.h"
 #include "deploy/cli/command.h"
 #include "deploy/cli/doctor_checks.h"
 
@@ -75,7 +76,7 @@ std::string TextOf(const std::string& path) { return ReadFile(path).value_or("")
 
 absl::string_view BaseName(absl::string_view path) { return path.substr(path.rfind('/') + 1); }
 
-// `path` if it is a folder, otherwise the nearest folder above it.
+// `path` if it exists, otherwise the nearest folder above it.
 std::string ExistingFolder(std::string path) {
   while (!path.empty() && !PathExists(path)) {
     const size_t slash = path.rfind('/');
@@ -91,14 +92,19 @@ absl::StatusOr<int64_t> FreeSpace(const std::string& folder) {
   return static_cast<int64_t>(disk.f_bavail) * static_cast<int64_t>(disk.f_frsize);
 }
 
+// How long it takes to write 1 MiB into `folder` and to sync it: the median of a few files, which are removed.
 absl::StatusOr<absl::Duration> SyncTime(const std::string& folder) {
   const std::string path = JoinPath(folder, absl::StrCat(".craftfleet-doctor-", getpid()));
-  const auto remove = absl::MakeCleanup([&path] { RemoveAll(path).IgnoreError(); });
   const std::string bytes(1 << 20, 'x');
   std::array<absl::Duration, 5> times;
   for (absl::Duration& time : times) {
     const absl::Time start = absl::Now();
-    CRAFTFLEET_RETURN_IF_ERROR(WriteFileSynced(path, bytes));
+    const int file = open(path.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0600);
+    if (file < 0) return FileError(errno, "cannot create", path);
+    const absl::Cleanup close_file = [file] { close(file); };
+    unlink(path.c_str());  // at once: nothing stays when a signal ends this program
+    CRAFTFLEET_RETURN_IF_ERROR(WriteAll(file, bytes, path));
+    if (SyncDescriptor(file) != 0) return FileError(errno, "cannot sync", path);
     time = absl::Now() - start;
   }
   std::sort(times.begin(), times.end());
@@ -119,14 +125,10 @@ std::string MappedFile(const std::vector<absl::string_view>& names) {
   return "";
 }
 
-CpuFacts ReadCpu() {
-  return {CpuDescription(), CheckCpu(v1::RunConfig::AVX2).ok(), CheckCpu(v1::RunConfig::AVX512).ok(), DefaultThreads()};
-}
-
-BlasFacts ReadBlas() {
+std::string FindBlas() {
   // A LibTorch with MKL calls no other BLAS: the one that is mapped in the wheel is OpenCV's.
-  if (at::hasMKL()) return {MappedFile({"libmkl"}), SlowMathWarning()};
-  return {MappedFile({"libopenblas", "libblas", "libblis", "libatlas"}), SlowMathWarning()};
+  if (at::hasMKL()) return MappedFile({"libmkl"});
+  return MappedFile({"libopenblas", "libblas", "libblis", "libatlas"});
 }
 
 // Bytes; 0: unknown.
@@ -153,12 +155,6 @@ int64_t ReadAvailableMemory() {
 uint64_t ReadOpenFilesLimit() {
   rlimit limit = {};
   return getrlimit(RLIMIT_NOFILE, &limit) == 0 ? limit.rlim_max : 0;
-}
-
-// Writes a few files into `logdir`, or into the nearest existing folder above it, and removes them.
-DiskFacts MeasureDisk(const std::string& logdir) {
-  const std::string folder = ExistingFolder(logdir);
-  return {folder, FreeSpace(folder), SyncTime(folder)};
 }
 
 ClockFacts ReadClock() {
@@ -270,13 +266,14 @@ bool WantsColor() {
 
 std::vector<Finding> CheckMachine(const std::vector<std::string>& addresses) {
   const std::string logdir = absl::GetFlag(FLAGS_logdir);
-  const DiskFacts disk = MeasureDisk(logdir.empty() ? "runs" : logdir);
-  std::vector<Finding> findings = {CheckCpuFeatures(ReadCpu()),
-                                   CheckBlas(ReadBlas()),
+  const std::string folder = ExistingFolder(logdir.empty() ? "runs" : logdir);
+  std::vector<Finding> findings = {CheckCpuFeatures(CpuDescription(), CheckCpu(v1::RunConfig::AVX2).ok(),
+                                                    CheckCpu(v1::RunConfig::AVX512).ok(), DefaultThreads()),
+                                   CheckBlas(FindBlas(), SlowMathWarning()),
                                    CheckMemory(ReadAvailableMemory()),
                                    CheckOpenFiles(ReadOpenFilesLimit()),
-                                   CheckDiskSpace(disk),
-                                   CheckDiskSync(disk),
+                                   CheckDiskSpace(folder, FreeSpace(folder)),
+                                   CheckDiskSync(folder, SyncTime(folder)),
                                    CheckClock(ReadClock()),
                                    CheckGpu(ReadGpu())};
   for (const std::string& address : addresses) {
@@ -284,9 +281,7 @@ std::vector<Finding> CheckMachine(const std::vector<std::string>& addresses) {
     findings.push_back(CheckPort(address, TryPort(address)));
   }
   const wire::TlsFiles files = wire::TlsFilesFromFlags();
-  if (!files.certificate.empty() || !files.key.empty() || !files.authorities.empty()) {
-    findings.push_back(CheckTls({files.certificate, files.key, files.authorities, absl::Now()}));
-  }
+  if (!files.empty()) findings.push_back(CheckTls(files, absl::Now()));
   findings.push_back({"versions", Verdict::kOk, ReadVersions(), ""});
   return findings;
 }

@@ -20,8 +20,9 @@ ask: each line of standard input is a JSON object, and so is each line of its ou
 int RunInspect(int argc, char** argv) {
   ParseFlags({kProgram, kUsage, {}, {}}, argc, argv);
   for (std::string line; std::getline(std::cin, line);) std::cout << Answer(line) << "\n";
+  const absl::Status read = CheckStandardInput();
   std::cout.flush();
-  return ExitCode(kProgram, absl::OkStatus());
+  return ExitCode(kProgram, read);
 }
 
 const RegisterCommand kRegistered("inspect", &RunInspect);

@@ -45,11 +45,10 @@ struct Request {
 bool Read(void* data, size_t size) { return std::fread(data, 1, size, stdin) == size; }
 
 // Reads the next request. Returns false at the end of the input.   InvalidArgument: it ends within a request, or n is
-// out of range.
+// out of range.   DataLoss: it can't be read.
 absl::StatusOr<bool> ReadRequest(int64_t frame_bytes, Request* request) {
   uint32_t games = 0;
   const size_t size = std::fread(&games, 1, sizeof(games), stdin);
-  if (size == 0) return false;
   if (size == sizeof(games)) {
     if (games < 1 || games > kMaxGames) {
       return absl::InvalidArgumentError(absl::StrFormat("%d games in a request, want 1..%d", games, kMaxGames));
@@ -62,6 +61,8 @@ absl::StatusOr<bool> ReadRequest(int64_t frame_bytes, Request* request) {
       return true;
     }
   }
+  CRAFTFLEET_RETURN_IF_ERROR(CheckStandardInput());
+  if (size == 0) return false;
   return absl::InvalidArgumentError("the input ends within a request");
 }
 
@@ -80,11 +81,12 @@ class Players {
     }
     CRAFTFLEET_RETURN_IF_ERROR(StartOrRemember(request));
     std::vector<double> noise;
-    for (size_t i = 0; i < games; ++i)
-      noise.push_back(ActionNoise(static_cast<uint64_t>(seed_), lanes_[i], steps_[i]++));
+    for (size_t i = 0; i < games; ++i) {
+      if (!greedy_) noise.push_back(ActionNoise(static_cast<uint64_t>(seed_), lanes_[i], steps_[i]));
+      ++steps_[i];
+    }
     CRAFTFLEET_ASSIGN_OR_RETURN(const ActResult act,
-                                greedy_ ? policy.ActGreedily(request.frames, lanes_, absl::MakeSpan(states_))
-                                        : policy.Act(request.frames, lanes_, noise, absl::MakeSpan(states_)));
+                                policy.Act(request.frames, lanes_, noise, absl::MakeSpan(states_)));
     before_ = request.frames;
     std::string actions;
     for (const Action action : act.actions) actions.push_back(static_cast<char>(action));

@@ -6,6 +6,8 @@
 #include <absl/flags/flag.h>
 #include <absl/status/status.h>
 #include <absl/status/statusor.h>
+#include <absl/strings/str_cat.h>
+#include <absl/time/clock.h>
 #include <absl/time/time.h>
 
 #include "common/base/status_macros.h"
@@ -14,9 +16,9 @@
 #include "common/process/shared_flags.h"
 #include "common/wire/channel.h"
 #include "common/wire/status_service.h"
+#include "common/wire/wire_flags.h"
 #include "craftfleet/v1/status.grpc.pb.h"
 #include "deploy/cli/command.h"
-#include "deploy/cli/status_client.h"
 #include "deploy/cli/status_text.h"
 
 ABSL_FLAG(bool, watch, false, "print the status repeatedly, until stopped");
@@ -35,9 +37,9 @@ constexpr char kUsage[] =
 The status of a learner covers the whole fleet; craftfleet top shows it as a live page.)";
 
 // Errors name the address.
-absl::StatusOr<v1::StatusReply> AskStatus(const wire::Endpoint& process) {
+absl::StatusOr<v1::StatusReply> AskStatus(const wire::Endpoint& process, absl::Duration timeout) {
   grpc::ClientContext context;
-  wire::SetDeadline(&context, absl::Seconds(2));
+  wire::SetDeadline(&context, timeout);
   v1::StatusReply reply;
   const grpc::Status status = v1::StatusService::NewStub(process.channel)->GetStatus(&context, {}, &reply);
   if (!status.ok()) return wire::FromCall(status, process.address, process);
@@ -56,30 +58,29 @@ absl::Status Print(const v1::StatusReply& reply) {
   return absl::OkStatus();
 }
 
-// Prints each status that the process sends, until the process ends or standard output is closed.
+// Prints the status again and again, until the process ends or standard output is closed.
 absl::Status Watch(const wire::Endpoint& process, absl::Duration interval) {
-  v1::WatchRequest request;
-  request.set_interval_ms(static_cast<int>(absl::ToInt64Milliseconds(interval)));
-  grpc::ClientContext context;
-  const auto stream = v1::StatusService::NewStub(process.channel)->WatchStatus(&context, request);
-  v1::StatusReply reply;
-  while (std::ferror(stdout) == 0 && stream->Read(&reply)) {
-    CRAFTFLEET_RETURN_IF_ERROR(Print(reply));
+  while (true) {
+    const absl::StatusOr<v1::StatusReply> reply = AskStatus(process, absl::Seconds(10));
+    if (absl::IsUnavailable(reply.status())) {
+      return absl::UnavailableError(absl::StrCat(process.address, ": it has stopped, or cannot be reached"));
+    }
+    CRAFTFLEET_RETURN_IF_ERROR(reply.status());
+    CRAFTFLEET_RETURN_IF_ERROR(Print(*reply));
     std::puts("");
+    std::fflush(stdout);
+    if (std::ferror(stdout) != 0) return absl::OkStatus();  // ExitCode prints the reason
+    absl::SleepFor(interval);
   }
-  if (std::ferror(stdout) != 0) {
-    context.TryCancel();  // ExitCode prints the reason
-    return absl::OkStatus();
-  }
-  return wire::FromCall(stream->Finish(), process.address, process);
 }
 
 absl::Status Run() {
   const absl::Duration interval = absl::GetFlag(FLAGS_interval).value;
   CRAFTFLEET_RETURN_IF_ERROR(CheckFlagRange("interval", interval, absl::Milliseconds(100), absl::Minutes(1)));
-  CRAFTFLEET_ASSIGN_OR_RETURN(const wire::Endpoint process, ConnectToProcess("process", absl::GetFlag(FLAGS_address)));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const wire::Endpoint process,
+                              wire::ConnectToProcess("process", absl::GetFlag(FLAGS_address)));
   if (absl::GetFlag(FLAGS_watch)) return Watch(process, interval);
-  CRAFTFLEET_ASSIGN_OR_RETURN(const v1::StatusReply reply, AskStatus(process));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const v1::StatusReply reply, AskStatus(process, absl::Seconds(2)));
   return Print(reply);
 }
 

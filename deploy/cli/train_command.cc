@@ -8,8 +8,7 @@
 #include "common/process/flag_values.h"
 #include "common/process/program.h"
 #include "common/process/shared_flags.h"
-#include "common/telemetry/log.h"
-#include "common/wire/metrics_flags.h"
+#include "common/wire/metrics.h"
 #include "deploy/cli/command.h"
 #include "deploy/cli/local_fleet.h"
 #include "learner/run_flags.h"
@@ -31,24 +30,17 @@ command with --resume continues the run as if it had never stopped. If its outpu
 continues silently. The run's config.txt has every hyperparameter; --config starts another run with an edited copy.)";
 
 absl::Status Run() {
-  CRAFTFLEET_ASSIGN_OR_RETURN(const wire::MetricsServer::Options metrics_options, wire::MetricsOptionsFromFlags(""));
+  const absl::Duration env_timeout = absl::GetFlag(FLAGS_env_timeout).value;
+  CRAFTFLEET_RETURN_IF_ERROR(CheckFlagRange("env_timeout", env_timeout, absl::Milliseconds(100), absl::Hours(1)));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string metrics_address, wire::MetricsAddressFromFlags(""));
   CRAFTFLEET_ASSIGN_OR_RETURN(Learner::Options options,
                               LearnerOptionsFromFlags(v1::RunConfig::CUDA, /*page_by_default=*/""));
   CRAFTFLEET_RETURN_IF_ERROR(PinCpu(options.config.cpu()));
   SetUpTorchThread();
   options.server.address = absl::GetFlag(FLAGS_listen).address.value_or("");
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<LocalFleet> fleet,
-                              LocalFleet::Create(options, absl::GetFlag(FLAGS_env_timeout).value));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<LocalFleet> fleet, LocalFleet::Create(options, env_timeout));
   StopSignal signal([&fleet] { fleet->Stop(); });
-  if (const std::string warning = SlowMathWarning(); !warning.empty()) LogWarning("%s", warning);
-  Learner& learner = fleet->learner();
-  CRAFTFLEET_RETURN_IF_ERROR(LogRunStart(learner, options.logdir));
-  CRAFTFLEET_ASSIGN_OR_RETURN(
-      const std::unique_ptr<wire::MetricsServer> metrics,
-      wire::ServeMetrics(metrics_options, &learner.status(), [&learner] { return learner.serving(); }));
-  CRAFTFLEET_RETURN_IF_ERROR(fleet->Run());
-  LogRunEnd(learner);
-  return absl::OkStatus();
+  return RunWithMessages(&fleet->learner(), options.logdir, metrics_address, [&fleet] { return fleet->Run(); });
 }
 
 int RunTrain(int argc, char** argv) {

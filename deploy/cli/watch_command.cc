@@ -222,6 +222,9 @@ absl::Status Run(const std::vector<std::string>& paths) {
   if (paths.size() != 1)
     return absl::InvalidArgumentError(absl::StrCat(paths.size(), " runs, want one run or checkpoint"));
   CRAFTFLEET_RETURN_IF_ERROR(CheckFlags());
+  if (absl::GetFlag(FLAGS_follow) && FindCheckpoint(paths[0]).value_or("") == paths[0]) {
+    return absl::InvalidArgumentError(absl::StrCat("--follow: ", paths[0], " is one checkpoint, want a run's folder"));
+  }
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::optional<AttentionChoice> attention, AttentionFromFlag());
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<int64_t> steps, StripSteps());
   const bool on_screen = absl::GetFlag(FLAGS_video).empty() && absl::GetFlag(FLAGS_strip).empty();
@@ -255,7 +258,9 @@ int RunWatch(int argc, char** argv) {
         {"size", "width and height of the picture in windows and videos, in pixels, 64..1024 [512]"},
         {"video", "write one episode to this MP4 file instead of showing it"}}},
       argc, argv);
-  return ExitCode(kProgram, Run(paths));
+  const absl::Status status = Run(paths);
+  const int exit_code = ExitCode(kProgram, status);
+  return absl::IsCancelled(status) ? kStoppedExitCode : exit_code;
 }
 
 const RegisterCommand kRegistered("watch", &RunWatch);

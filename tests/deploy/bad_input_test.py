@@ -1,10 +1,12 @@
 """Real programs with wrong flags, configuration files and textures: errors name the place and what was expected."""
 
 import json
+import os
 import shutil
+import subprocess
 
 from tests.fakes import python_case
-from tests.fakes.python_case import BIN, SOURCE
+from tests.fakes.python_case import BIN, SOURCE, built
 
 # By program: flags, and texts of the one line on standard error. "@" is the test's folder, which has config.txt.
 REFUSED = {
@@ -19,6 +21,11 @@ REFUSED = {
         ("--logdir=@/run --seed=", "--seed=, want a whole number, at least 0;"),
         ("--logdir=@/run --steps=", "--steps=, want a whole number, such as"),
         ("--logdir=@/run --agent=", "--agent=, want a value, or omit the flag;"),
+        ("--logdir=@/run --noresume=true", "craftfleet train: --noresume=true: --noresume takes no value; see"),
+        ("--logdir=@/run --flagfile=@/config.txt", "unknown flag 'flagfile'"),
+        ("--logdir=@/run --undefok=lanes", "unknown flag 'undefok'"),
+        ("--logdir=@/run --env_timeout=0", "craftfleet train: --env_timeout=0, want 100ms..1h"),
+        ("--logdir=@/run --env_timeout=2h", "--env_timeout=2h, want 100ms..1h"),
         ("--logdir=@/run --resume=maybe", "--resume=maybe, want true or false;"),
         ("--logdir", "craftfleet train: --logdir needs a value: --logdir=VALUE;"),
         ("--logdir=@/run --lanes=7", "ppo.rollout_steps", "lanes (7)"),
@@ -29,6 +36,7 @@ REFUSED = {
         ("--logdir=@/run --threads=999", "--threads=999, want 0..256"),
         ("--logdir=@/run --config=@/none.txt", "--config: ", "/none.txt", "No such file"),
         ("--logdir=@/run --resume", "--resume: no run in --logdir=", "/run", "start it without --resume"),
+        ("--logdir=@/run --resume --config=@/config.txt", "--resume: no run in --logdir=", "/run", "start it without --resume"),
         ("--logdir=@/run --max_staleness=1 --overlap=1", "overlap and max_staleness are both given"),
         ("--logdir=@/run --resume_from=x", "--resume_from requires --resume"),
         ("--logdir=@/run --textures=@/none", "/none", "No such file"),
@@ -59,6 +67,8 @@ REFUSED = {
         ("--max_games=99999999999", "--max_games=99999999999, want a smaller number;"),
         ("--listen=0.0.0.0:0 --insecure --learner=127.0.0.1:1", "--listen=0.0.0.0:0 is every address", "--advertise=HOST:PORT"),
         ("--advertise=[::]:1 --learner=127.0.0.1:1", "--advertise=[::]:1 is every address of this host"),
+        ("--advertise=[::0]:1 --learner=127.0.0.1:1", "--advertise=[::0]:1 is every address of this host"),
+        ("--advertise=0:1 --learner=127.0.0.1:1", "--advertise=0:1 is every address of this host"),
         ("--metrics_listen=http://a:1", '--metrics_listen: "http://a:1" is not an address, want ', "without http://"),
     ],
     "craftfleet-actor": [
@@ -91,7 +101,7 @@ REFUSED = {
     ],
     "craftfleet doctor": [
         ("--listen=here", '--listen: "here" is not an address, want HOST:PORT'),
-        ("--token_file=t", "unknown flag 'token_file'"),
+        ("--tls_server_name=t", "unknown flag 'tls_server_name'"),
     ],
     "craftfleet watch": [
         ("run --video=a.mp4 --follow", "--follow and --video: want one of them"),
@@ -152,6 +162,14 @@ class BadInput(python_case.FolderCase):
       for error in errors[1:]:
         self.assertIn(error, refused.stderr)
     self.assertFalse((self.folder / "run").exists())
+
+  def test_standard_input_that_cannot_be_read_is_not_its_end(self):
+    run = python_case.trained_run(self.folder / "run", python_case.SMALL_RUN)
+    for program in (["craftfleet inspect"], ["craftfleet policy", f"--checkpoint={run}"]):
+      folder = os.open("/", os.O_RDONLY)
+      self.addCleanup(os.close, folder)
+      ended = subprocess.run([*built(program[0]), *program[1:]], stdin=folder, capture_output=True, text=True, timeout=60, check=False)
+      self.assertEqual((ended.returncode, ended.stderr), (1, f"{program[0]}: cannot read standard input: Is a directory\n"))
 
   def test_a_missing_or_invalid_texture_is_named(self):
     textures = self.folder / "textures"

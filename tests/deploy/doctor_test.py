@@ -34,6 +34,13 @@ class Doctor(python_case.FolderCase):
     below = self.run_program("craftfleet doctor", "--listen=", f"--logdir={self.folder}/runs/first")
     self.assertIn(f"free in {self.folder}\n", below.stdout, "the nearest folder that exists")
 
+  def test_it_does_not_write_through_a_link(self):
+    script = f'ln -s "{self.folder}/target" "{self.folder}/.craftfleet-doctor-$$"; exec "$@"'
+    ended = subprocess.run(["sh", "-c", script, "sh", *built("craftfleet doctor"), "--listen=", f"--logdir={self.folder}"],
+                           capture_output=True, text=True, timeout=60, check=False)
+    self.assertRegex(ended.stdout, r"FAIL  disk speed +cannot create .*: File exists")
+    self.assertFalse((self.folder / "target").exists())
+
   def test_a_port_in_use_fails_with_a_remedy(self):
     with socket.socket() as taken:
       taken.bind(("127.0.0.1", 0))

@@ -127,6 +127,12 @@ class Play(python_case.FolderCase):
     self.assertIn("cannot open a window", ended.stderr)
     self.assertFalse(folder.exists())
 
+  def test_the_terminal_is_checked_before_anything_is_recorded(self):
+    folder = self.folder / "recordings"
+    ended = self.run_program("craftfleet play", "--terminal", f"--record={folder}", code=1)
+    self.assertIn("--terminal: standard input and output are not a terminal", ended.stderr)
+    self.assertFalse(folder.exists())
+
   def test_bad_flags_are_refused(self):
     for flag, expected in [("--fps=0", "--fps=0, want 0.1..60"), ("--size=5000", "--size=5000, want 64..1024"),
                            ("--env=cr", "--env: "), ("--episode=0", "--episode=0, want 1..1000000000"),

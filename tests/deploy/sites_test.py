@@ -5,6 +5,7 @@ import contextlib
 import json
 import os
 import pathlib
+import pwd
 import re
 import shutil
 import signal
@@ -111,6 +112,12 @@ class Variables(Case):
         process.kill()
         self.assertEqual(set(masks.values()), {cpus}, masks)
         self.assertIn(f"; {min(cpus, allowed)} threads;", self.run_in(doctor, env=environment(**variables)).stdout)
+
+  def test_a_home_is_known_and_an_empty_python_is_none(self):
+    without_home = {name: value for name, value in os.environ.items() if name != "HOME"}
+    ended = self.run_in([BIN / "craftfleet-envserver", "--textures=~/no-textures"], env=without_home)
+    self.assertIn(f" {pwd.getpwuid(os.getuid()).pw_dir}/no-textures", ended.stderr)
+    self.assertEqual(self.run_in([BIN / "craftfleet", "top", "--help"], env=environment(CRAFTFLEET_PYTHON="")).returncode, 0)
 
   def test_the_variable_that_sets_the_number_of_ranks_is_named(self):
     ended = self.run_in([BIN / "craftfleet-learner", f"--config={self.config}", f"--logdir={self.run_folder}"],

@@ -4,6 +4,7 @@ import json
 import os
 import shlex
 import shutil
+import signal
 import struct
 import subprocess
 
@@ -33,7 +34,8 @@ class WatchAgent(python_case.FolderCase):
     with Tmux(self.folder, shlex.join([*map(str, WATCH), "--terminal", "--follow", "--speed=1", str(run)])) as terminal:
       terminal.wait_for("seed 0, episode 1, step 1")
       terminal.press("Space")
-      terminal.wait_for("PAUSED ppo_cnn, 64 steps")
+      terminal.wait_for("PAUSED ppo_cnn")
+      terminal.wait_for(" 64 steps")
       terminal.press("r")
       terminal.wait_for("episode 1, step 0")
       for step in (1, 2, 3):
@@ -44,7 +46,7 @@ class WatchAgent(python_case.FolderCase):
       self.assertGreater(len(terminal.colors()), 10)
       self.run_program("craftfleet train", "--resume", "--steps=128", f"--logdir={run}", "--threads=1")
       terminal.press("n")
-      terminal.wait_for("ppo_cnn, 128 steps")
+      terminal.wait_for(" 128 steps")
       terminal.press("q")
       terminal.wait_for_exit(0)
 
@@ -80,19 +82,32 @@ class WatchAgent(python_case.FolderCase):
       self.assertEqual(ended.stdout, f"{strip}: {columns} columns of episode 1\n")
       self.assertEqual(png_size(strip), (columns * 186 + 6, 400))
 
+  def test_a_strip_that_is_stopped_is_not_written(self):
+    run = python_case.trained_run(self.folder / "run", RUN.replace("length: 20", "length: 10000") + 'agent: "oc_ca"')
+    strip = self.folder / "strip.png"
+    os.mkfifo(strip)
+    process = subprocess.Popen([*WATCH, f"--strip={strip}", run], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    self.addCleanup(process.kill)
+    with strip.open("rb") as reader:  # both wait here for each other, before the episode begins
+      process.send_signal(signal.SIGINT)
+      self.assertEqual(reader.read(), b"")
+    output, errors = process.communicate(timeout=60)
+    self.assertEqual((process.returncode, output, errors), (130, "", "craftfleet watch: stopped before the strip was complete\n"))
+
   def test_bad_input_is_refused(self):
     run = self.train()
     for flags, expected in [
         ([], "0 runs, want one run or checkpoint"),
-        (["--terminal", str(self.folder / "nothing")], "nothing"),
+        (["--video=a.mp4", str(self.folder / "nothing")], "no checkpoint at "),
         (["--speed=1000", str(run)], "--speed=1000, want 0.25..256"),
         (["--video=a.avi", str(run)], "--video=a.avi, want a file name that ends in .mp4"),
         (["--strip=a.jpg", str(run)], "--strip=a.jpg, want a file name that ends in .png"),
         (["--strip_steps=5,3", str(run)], "--strip_steps=5,3, want auto or"),
         (["--attention=all", str(run)], "--attention: "),
         (["--strip=strip.png", str(run)], "no attention"),
-        (["--terminal", "--env=minecraft", str(run)], "--env: "),
-        (["--terminal", str(run)], "--terminal: standard input"),
+        (["--video=a.mp4", "--env=minecraft", str(run)], "--env: "),
+        (["--follow", f"{run}/checkpoints/iter-00000001"], "iter-00000001 is one checkpoint, want a run's folder"),
+        (["--terminal", str(self.folder / "nothing")], "--terminal: standard input"),  # before the agent is loaded
     ]:
       ended = self.run_program("craftfleet watch", *flags, code=1)
       self.assertIn(expected, ended.stderr)

@@ -75,12 +75,12 @@ std::vector<TextLine> PlaySession::Panel() const {
       {absl::StrFormat("reward %.1f, %d of %d unlocked", world().episode_reward(),
                        CountUnlocked(world().player().achievements), kNumAchievements)},
       NeedsLine(world()),
-      {""},
   };
+  if (ended()) lines.push_back({"n: next episode, q: quit", TextLine::Style::kTitle});  // here it is never cut off
+  lines.push_back({""});
   for (TextLine& line : InventoryLines(world(), kTextColumns)) lines.push_back(std::move(line));
   lines.push_back({""});
   lines.insert(lines.end(), events_.lines().begin(), events_.lines().end());
-  if (ended()) lines.push_back({"n: next episode, q: quit", TextLine::Style::kTitle});
   return lines;
 }
 

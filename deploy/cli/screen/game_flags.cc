@@ -31,7 +31,7 @@ absl::Status CheckEpisodeAndSize(int64_t episode, int size) {
 }
 
 absl::Status CheckScreen(bool terminal) {
-  if (terminal) return absl::OkStatus();
+  if (terminal) return TerminalScreen::Check();
 #ifdef CRAFTFLEET_WITH_WINDOW
   return TryDisplay();
 #else

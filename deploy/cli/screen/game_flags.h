@@ -31,8 +31,8 @@ absl::StatusOr<std::optional<AttentionChoice>> AttentionFromFlag();
 // --episode: 1..1,000,000,000, and --size: 64..1024 pixels.
 absl::Status CheckEpisodeAndSize(int64_t episode, int size);
 
-// Whether there is the screen that --terminal asks for. To be called before other threads start.
-//   FailedPrecondition: there is no display; a terminal is only checked when it is opened.
+// Whether there is the screen that --terminal chooses. To be called before other threads start.
+//   FailedPrecondition: there is no display, or the terminal can't be used.
 absl::Status CheckScreen(bool terminal);
 
 // --terminal: the terminal, otherwise a window with this title and room for pictures of `size` pixels.

@@ -16,11 +16,7 @@ absl::StatusOr<std::shared_ptr<const Renderer>> SquareRenderer(const Textures& t
                                                                int size) {
   WorldOptions world = WorldOptions::FromEnvName(env);
   world.length = length;
-  RenderOptions render;
-  render.width = size;
-  render.height = size;
-  render.inventory = env.inventory;
-  return Renderer::Create(textures, world, render);
+  return Renderer::Create(textures, world, {size, size, env.inventory});
 }
 
 int PictureSize(const PictureRoom& room, int view) {
@@ -29,12 +25,12 @@ int PictureSize(const PictureRoom& room, int view) {
 }
 
 absl::StatusOr<Moment> GamePictures::Take(const Game& game, const std::string& frame, int size) {
-  if (taker_ == nullptr || size != size_) {
-    CRAFTFLEET_ASSIGN_OR_RETURN(auto renderer, SquareRenderer(*textures_, env_, game.world().options().length, size));
-    taker_ = std::make_unique<MomentTaker>(std::move(renderer));
+  if (renderer_ == nullptr || size != size_) {
+    CRAFTFLEET_ASSIGN_OR_RETURN(renderer_, SquareRenderer(*textures_, env_, game.world().options().length, size));
     size_ = size;
   }
-  return taker_->Take(game, absl::MakeConstSpan(reinterpret_cast<const uint8_t*>(frame.data()), frame.size()));
+  return game.TakeMoment(absl::MakeConstSpan(reinterpret_cast<const uint8_t*>(frame.data()), frame.size()),
+                         renderer_.get());
 }
 
 }  // namespace craftfleet

@@ -10,7 +10,6 @@
 #include "common/config/env_name.h"
 #include "deploy/cli/screen/screen.h"
 #include "envserver/game.h"
-#include "envserver/moment_taker.h"
 #include "envserver/render/textures.h"
 
 namespace craftfleet {
@@ -37,7 +36,7 @@ class GamePictures {
   const std::shared_ptr<const Textures> textures_;
   const EnvName env_;
   int size_ = 0;
-  std::unique_ptr<const MomentTaker> taker_;  // of size_
+  std::shared_ptr<const Renderer> renderer_;  // of size_
 };
 
 }  // namespace craftfleet

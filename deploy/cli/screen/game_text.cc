@@ -10,7 +10,7 @@ std::string Words(absl::string_view name) { return absl::StrReplaceAll(name, {{"
 
 TextLine NeedsLine(const World& world) {
   const Player& player = world.player();
-  return {absl::StrFormat("health %d  food %d  drink %d  energy %d", player.health(), player.item(Item::kFood),
+  return {absl::StrFormat("health %d food %d drink %d energy %d", player.health(), player.item(Item::kFood),
                           player.item(Item::kDrink), player.item(Item::kEnergy)),
           player.health() <= 3 ? TextLine::Style::kBad : TextLine::Style::kPlain};
 }

@@ -16,7 +16,7 @@ namespace craftfleet {
 // The name of an item or achievement in words: "wood pickaxe".
 std::string Words(absl::string_view name);
 
-// "health 9  food 8  drink 7  energy 6".
+// "health 9 food 8 drink 7 energy 6".
 TextLine NeedsLine(const World& world);
 
 // The items that the player has, in lines of at most `width` characters; none without items.

@@ -10,8 +10,11 @@ namespace {
 
 constexpr char kEscape = '\x1b';
 
-// The key of a complete escape sequence that ends with `last`, such as "\x1b[A".
-Key ArrowKey(char last) { return last >= 'A' && last <= 'D' ? kUpKey + (last - 'A') : kNoKey; }
+// The key of a complete escape sequence, such as "\x1b[A".
+Key ArrowKey(absl::string_view sequence) {
+  const char last = sequence.back();
+  return last >= 'A' && last <= 'D' && sequence[2] != '[' ? kUpKey + (last - 'A') : kNoKey;
+}
 
 // The size of the character or escape sequence at the beginning of `bytes`. A sequence is "\x1b[" or "\x1bO",
 // parameters and one final letter; 0: it may continue.
@@ -19,6 +22,7 @@ size_t SizeOfFirst(absl::string_view bytes) {
   if (bytes[0] != kEscape) return 1;
   if (bytes.size() == 1) return 0;
   if (bytes[1] != '[' && bytes[1] != 'O') return 1;
+  if (bytes.size() > 2 && bytes[2] == '[') return bytes.size() > 3 ? 4 : 0;  // "\x1b[[A": F1 of Linux' console
   size_t end = 2;
   while (end < bytes.size() && (absl::ascii_isdigit(bytes[end]) || bytes[end] == ';')) ++end;
   return end < bytes.size() ? end + 1 : 0;
@@ -38,7 +42,7 @@ std::vector<Key> TakeKeys(std::string* bytes) {
   while (!rest.empty()) {
     const size_t size = SizeOfFirst(rest);
     if (size == 0) break;
-    const Key key = size > 1 ? ArrowKey(rest[size - 1]) : KeyOfCharacter(rest[0]);
+    const Key key = size > 1 ? ArrowKey(rest.substr(0, size)) : KeyOfCharacter(rest[0]);
     if (key != kNoKey) keys.push_back(key);
     rest.remove_prefix(size);
   }

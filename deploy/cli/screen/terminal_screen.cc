@@ -5,6 +5,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <cerrno>
 #include <cmath>
 #include <cstdlib>
 
@@ -13,23 +14,31 @@
 #include <absl/strings/str_format.h>
 #include <absl/strings/string_view.h>
 
+#include "common/base/status_macros.h"
+
 namespace craftfleet {
 namespace {
 
-constexpr int kGapColumns = 2;
-constexpr int kLeastRows = 12;
-constexpr int kLeastColumns = 18 + kGapColumns + kTextColumns;
-
 constexpr int kBarColumns = 8;
+
+constexpr int kWriteTimeout = 1000;  // milliseconds
 
 constexpr absl::Duration kSequenceGap = absl::Milliseconds(50);  // within an escape sequence; longer: the key Escape
 
-void Write(absl::string_view text) {
+// Returns whether all of `text` was written, also to a terminal that another program has made non-blocking.
+bool Write(absl::string_view text) {
   while (!text.empty()) {
     const ssize_t count = write(STDOUT_FILENO, text.data(), text.size());
-    if (count <= 0) return;
-    text.remove_prefix(static_cast<size_t>(count));
+    if (count >= 0) {
+      text.remove_prefix(static_cast<size_t>(count));
+    } else if (errno == EAGAIN) {
+      pollfd output = {STDOUT_FILENO, POLLOUT, 0};
+      if (poll(&output, 1, kWriteTimeout) <= 0) return false;
+    } else if (errno != EINTR) {
+      return false;
+    }
   }
+  return true;
 }
 
 enum class Input { kNone, kSome, kEnd };
@@ -94,7 +103,7 @@ std::vector<std::string> PageRows(const View& view, int columns, int rows, Color
   return page;
 }
 
-absl::StatusOr<std::unique_ptr<Screen>> TerminalScreen::Open() {
+absl::Status TerminalScreen::Check() {
   if (isatty(STDIN_FILENO) != 1 || isatty(STDOUT_FILENO) != 1) {
     return absl::FailedPreconditionError("--terminal: standard input and output are not a terminal");
   }
@@ -104,6 +113,11 @@ absl::StatusOr<std::unique_ptr<Screen>> TerminalScreen::Open() {
         absl::StrFormat("--terminal: the terminal has %dx%d characters, want at least %dx%d", columns, rows,
                         kLeastColumns, kLeastRows));
   }
+  return absl::OkStatus();
+}
+
+absl::StatusOr<std::unique_ptr<Screen>> TerminalScreen::Open() {
+  CRAFTFLEET_RETURN_IF_ERROR(Check());
   return absl::WrapUnique<Screen>(new TerminalScreen());
 }
 
@@ -140,8 +154,7 @@ absl::Status TerminalScreen::Show(const View& view) {
     if (page[i] == shown_[i]) continue;
     absl::StrAppend(&text, absl::StrFormat("\x1b[%d;1H", i + 1), page[i], "\x1b[K");
   }
-  Write(text);
-  size_ = {columns, rows};
+  size_ = Write(text) ? std::pair(columns, rows) : std::pair(0, 0);  // else all of it is drawn the next time
   shown_ = std::move(page);
   return absl::OkStatus();
 }

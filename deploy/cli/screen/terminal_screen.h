@@ -10,6 +10,7 @@
 #include <utility>
 #include <vector>
 
+#include <absl/status/status.h>
 #include <absl/status/statusor.h>
 
 #include "deploy/cli/screen/half_blocks.h"
@@ -17,14 +18,20 @@
 
 namespace craftfleet {
 
+// The smallest terminal: room for pictures of two pixels a cell beside the text.
+inline constexpr int kGapColumns = 2;
+inline constexpr int kLeastColumns = 18 + kGapColumns + kTextColumns;
+inline constexpr int kLeastRows = 12;
+
 // The rows of a page: the picture as half blocks, the text beside it, cut to `columns` and `rows`.
 std::vector<std::string> PageRows(const View& view, int columns, int rows, Colors colors = Colors::kTrue);
 
 // Keys arrive one by one without echo. The destructor restores the terminal and its content.
 class TerminalScreen : public Screen {
  public:
-  // Takes over the terminal at standard input and output until the object is destroyed.
-  //   FailedPrecondition: they are not a terminal, or it is too small.
+  // Whether standard input and output are a terminal.   FailedPrecondition: they are not, or it is too small.
+  static absl::Status Check();
+  // Takes over the terminal until the object is destroyed.   Errors as Check.
   static absl::StatusOr<std::unique_ptr<Screen>> Open();
   ~TerminalScreen() override;
   TerminalScreen(const TerminalScreen&) = delete;

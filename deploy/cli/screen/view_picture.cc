@@ -9,7 +9,7 @@
 namespace craftfleet {
 namespace {
 
-constexpr int kLines = 27;       // for which there is always room
+constexpr int kLines = 28;       // for which there is always room
 constexpr int kTextWidth = 330;  // pixels: kTextColumns characters
 constexpr int kLineHeight = 19;  // pixels
 constexpr int kMargin = 14;      // pixels, around the text

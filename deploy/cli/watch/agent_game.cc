@@ -42,10 +42,9 @@ absl::Status AgentGame::Step() {
 }
 
 absl::Status AgentGame::Decide() {
-  const double noise = ActionNoise(static_cast<uint64_t>(options_.seed), lane(), world().step());
-  CRAFTFLEET_ASSIGN_OR_RETURN(const ActResult act,
-                              options_.greedy ? policy_->ActGreedily(frame_, {lane()}, absl::MakeSpan(state_))
-                                              : policy_->Act(frame_, {lane()}, {noise}, absl::MakeSpan(state_)));
+  std::vector<double> noise;
+  if (!options_.greedy) noise = {ActionNoise(static_cast<uint64_t>(options_.seed), lane(), world().step())};
+  CRAFTFLEET_ASSIGN_OR_RETURN(const ActResult act, policy_->Act(frame_, {lane()}, noise, absl::MakeSpan(state_)));
   decision_ = Decision{act.actions[0], act.odds[0], act.values[0]};
   return absl::OkStatus();
 }

@@ -4,6 +4,7 @@
 
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
+#include <absl/strings/str_split.h>
 
 #include "actor/recording/picture.h"
 #include "common/base/status_macros.h"
@@ -21,13 +22,14 @@ TextLine ActionLine(int action, const AgentGame::Decision& decision) {
 
 std::vector<TextLine> DescribeMoment(const std::string& title, const AgentGame& game) {
   const World& world = game.world();
-  std::vector<TextLine> lines = {
-      {title, TextLine::Style::kTitle},
-      {absl::StrFormat("seed %d, episode %d, step %d", world.seed(), world.episode(), world.step())},
-      {absl::StrFormat("reward %.1f (%+.1f), value %.2f", world.episode_reward(), game.outcome().reward,
-                       game.decision().value)},
-      NeedsLine(world),
-  };
+  std::vector<TextLine> lines;
+  for (const absl::string_view part : absl::StrSplit(title, ", ")) {
+    lines.push_back({std::string(part), TextLine::Style::kTitle});
+  }
+  lines.push_back({absl::StrFormat("seed %d, episode %d, step %d", world.seed(), world.episode(), world.step())});
+  lines.push_back({absl::StrFormat("reward %.1f (%+.1f), value %.2f", world.episode_reward(), game.outcome().reward,
+                                   game.decision().value)});
+  lines.push_back(NeedsLine(world));
   for (int action = 0; action < kNumActions; ++action) lines.push_back(ActionLine(action, game.decision()));
   lines.push_back(game.events().lines().empty() ? TextLine() : game.events().lines().back());
   // At the end, because their number changes.

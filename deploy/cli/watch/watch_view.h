@@ -14,8 +14,8 @@
 
 namespace craftfleet {
 
-// The state of the game, and what the policy makes of it: at most 27 lines, with a bar for each action's probability.
-// `title` names the agent.
+// The state of the game, and what the policy makes of it: at most 28 lines, with a bar for each action's probability.
+// `title` names the agent; each of its parts, joined by ", ", is a line.
 std::vector<TextLine> DescribeMoment(const std::string& title, const AgentGame& game);
 
 // Picture and text. With `attention`, the picture is darkened except where the agent looks.

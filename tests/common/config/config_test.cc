@@ -108,6 +108,13 @@ TEST(RunConfig, AMalformedValuesErrorHasItsPositionAndField) {
               StatusIs(absl::StatusCode::kInvalidArgument, AllOf(StartsWith("a.txt:2:"), HasSubstr("lanes"))));
   EXPECT_THAT(ParseRunConfig("seed: 1 seed: 2", "a.txt"),
               StatusIs(absl::StatusCode::kInvalidArgument, AllOf(StartsWith("a.txt:1:"), HasSubstr("seed"))));
+  // Protobuf counts a tab as up to eight columns.
+  EXPECT_THAT(ParseRunConfig("\tppo { epochs: x clip: 1 }", "a.txt"),
+              StatusIs(absl::StatusCode::kInvalidArgument, StartsWith("a.txt:1:16: epochs: ")));
+  EXPECT_THAT(ParseRunConfig("\tenv { length: x name: \"crafter\" }", "a.txt"),
+              StatusIs(absl::StatusCode::kInvalidArgument, StartsWith("a.txt:1:16: length: ")));
+  EXPECT_THAT(ParseRunConfig("\tsteps: abc", "a.txt"),
+              StatusIs(absl::StatusCode::kInvalidArgument, StartsWith("a.txt:1:9: steps: ")));
   EXPECT_THAT(ParseRunConfig("ppo {", "a.txt"), StatusIs(absl::StatusCode::kInvalidArgument, StartsWith("a.txt:1:")));
   EXPECT_THAT(ParseRunConfig("\xFF\xFE{]", "a.txt"),
               StatusIs(absl::StatusCode::kInvalidArgument, StartsWith("a.txt:")));
@@ -189,6 +196,7 @@ INSTANTIATE_TEST_SUITE_P(
         BadValue{"ppo { learning_rate: -1 }", "ppo.learning_rate is -1, want 0..1"},
         BadValue{"ppo { learning_rate: nan }", "ppo.learning_rate is nan"},
         BadValue{"ppo { gamma: 1.5 }", "ppo.gamma is 1.5, want 0..1"},
+        BadValue{"ppo { gamma: 1.0000001 }", "ppo.gamma is 1.0000001, want 0..1"},
         BadValue{"ppo { gae_lambda: 2 }", "ppo.gae_lambda is 2, want 0..1"},
         BadValue{"ppo { clip: 0 }", "ppo.clip is 0, want more than 0"},
         BadValue{"ppo { clip: nan }", "ppo.clip is nan"},

@@ -112,6 +112,12 @@ TEST(TimeSpan, ARangeIsWrittenWithUnits) {
   }
 }
 
+TEST(CheckFlagRange, NamesTheExactNumber) {
+  EXPECT_THAT(CheckFlagRange("speed", 256.0, 0.25, 256.0), IsOk());
+  EXPECT_THAT(CheckFlagRange("speed", 256.0000001, 0.25, 256.0),
+              StatusIs(absl::StatusCode::kInvalidArgument, "--speed=256.0000001, want 0.25..256"));
+}
+
 TEST(TimeSpan, ErrorsNameTheUnits) {
   TimeSpan span;
   for (const char* text : {"", "soon", "5 s", "5seconds", "1d"}) {

@@ -104,6 +104,25 @@ TEST(StopSignal, LeavesAnIgnoredHangupIgnored) {
   _exit(1);
 }
 
+// A program that has saved all and is about to end.
+[[noreturn]] void EndSlowly(int signals) {
+  {
+    const StopSignal signal([] {});
+  }
+  Send(SIGTERM);
+  if (signals == 2) {
+    absl::SleepFor(absl::Milliseconds(600));
+    Send(SIGINT);
+  }
+  _exit(0);
+}
+
+TEST(StopSignalDeathTest, OnlyASecondSignalChangesTheExitCodeOfAProgramThatHasDoneAll) {
+  GTEST_FLAG_SET(death_test_style, "threadsafe");
+  EXPECT_EXIT(EndSlowly(1), testing::ExitedWithCode(0), "");
+  EXPECT_EXIT(EndSlowly(2), testing::ExitedWithCode(130), "");
+}
+
 TEST(StopSignalDeathTest, ASecondSignalEndsTheProcessDuringStop) {
   GTEST_FLAG_SET(death_test_style, "threadsafe");
   EXPECT_EXIT(StopForEver(), testing::ExitedWithCode(130), "");

@@ -39,16 +39,16 @@ testing::Matcher<Finding> Fails(const std::string& found, const std::string& rem
 }
 
 TEST(DoctorChecks, ACpuWithoutAvx2IsSlow) {
-  EXPECT_THAT(CheckCpuFeatures({"AMD EPYC, AVX512", true, true, 8}),
+  EXPECT_THAT(CheckCpuFeatures("AMD EPYC, AVX512", true, true, 8),
               IsOk("AMD EPYC, AVX512; 8 threads; AVX2 and AVX-512"));
-  EXPECT_THAT(CheckCpuFeatures({"AMD EPYC, AVX2", true, false, 8}), IsOk("AVX2, no AVX-512"));
-  EXPECT_THAT(CheckCpuFeatures({"QEMU, plain", false, false, 1}), Warns("no AVX2", "virtual machine"));
+  EXPECT_THAT(CheckCpuFeatures("AMD EPYC, AVX2", true, false, 8), IsOk("AVX2, no AVX-512"));
+  EXPECT_THAT(CheckCpuFeatures("QEMU, plain", false, false, 1), Warns("no AVX2", "virtual machine"));
 }
 
 TEST(DoctorChecks, TheReferenceBlasFails) {
-  EXPECT_THAT(CheckBlas({"/usr/lib/libopenblas.so.0", ""}), IsOk("/usr/lib/libopenblas.so.0"));
-  EXPECT_THAT(CheckBlas({"", ""}), IsOk("built into LibTorch"));
-  EXPECT_THAT(CheckBlas({"/usr/lib/libblas.so.3", "install libopenblas0-pthread"}),
+  EXPECT_THAT(CheckBlas("/usr/lib/libopenblas.so.0", ""), IsOk("/usr/lib/libopenblas.so.0"));
+  EXPECT_THAT(CheckBlas("", ""), IsOk("built into LibTorch"));
+  EXPECT_THAT(CheckBlas("/usr/lib/libblas.so.3", "install libopenblas0-pthread"),
               Fails("/usr/lib/libblas.so.3", "install libopenblas0-pthread"));
 }
 
@@ -67,18 +67,18 @@ TEST(DoctorChecks, OpenFilesHaveTwoLimits) {
 }
 
 TEST(DoctorChecks, AFullDiskFails) {
-  EXPECT_THAT(CheckDiskSpace({"/runs", 2 * kGiB, absl::ZeroDuration()}), IsOk("2.0 GiB free in /runs"));
-  EXPECT_THAT(CheckDiskSpace({"/runs", kGiB, absl::ZeroDuration()}), Warns("1.0 GiB", "--keep_checkpoints"));
-  EXPECT_THAT(CheckDiskSpace({"/runs", 255 * kMiB, absl::ZeroDuration()}), Fails("255 MiB", "--logdir"));
-  EXPECT_THAT(CheckDiskSpace({"/runs", absl::NotFoundError("look at /runs: gone"), absl::ZeroDuration()}),
+  EXPECT_THAT(CheckDiskSpace("/runs", 2 * kGiB), IsOk("2.0 GiB free in /runs"));
+  EXPECT_THAT(CheckDiskSpace("/runs", kGiB), Warns("1.0 GiB", "--keep_checkpoints"));
+  EXPECT_THAT(CheckDiskSpace("/runs", 255 * kMiB), Fails("255 MiB", "--logdir"));
+  EXPECT_THAT(CheckDiskSpace("/runs", absl::NotFoundError("look at /runs: gone")),
               Fails("look at /runs: gone", "--logdir"));
 }
 
 TEST(DoctorChecks, ASlowDiskWarnsOrFails) {
-  EXPECT_THAT(CheckDiskSync({"/runs", kGiB, absl::Milliseconds(99)}), IsOk("99.0 ms in /runs"));
-  EXPECT_THAT(CheckDiskSync({"/runs", kGiB, absl::Milliseconds(100)}), Warns("100.0 ms", "--checkpoint_every"));
-  EXPECT_THAT(CheckDiskSync({"/runs", kGiB, absl::Seconds(5)}), Fails("5000.0 ms", "local one"));
-  EXPECT_THAT(CheckDiskSync({"/runs", kGiB, absl::PermissionDeniedError("write /runs/x: no")}),
+  EXPECT_THAT(CheckDiskSync("/runs", absl::Milliseconds(99)), IsOk("99.0 ms in /runs"));
+  EXPECT_THAT(CheckDiskSync("/runs", absl::Milliseconds(100)), Warns("100.0 ms", "--checkpoint_every"));
+  EXPECT_THAT(CheckDiskSync("/runs", absl::Seconds(5)), Fails("5000.0 ms", "local one"));
+  EXPECT_THAT(CheckDiskSync("/runs", absl::PermissionDeniedError("write /runs/x: no")),
               Fails("write /runs/x: no", "can write"));
 }
 
@@ -114,8 +114,8 @@ TEST(DoctorChecks, APortInUseFails) {
 
 class DoctorTlsTest : public testing::Test {
  protected:
-  TlsFacts Facts(const std::string& name) const {
-    return {folder_ / (name + ".pem"), folder_ / (name + ".key"), folder_ / "ca.pem", absl::Now()};
+  wire::TlsFiles Files(const std::string& name) const {
+    return {folder_ / (name + ".pem"), folder_ / (name + ".key"), folder_ / "ca.pem"};
   }
 
   const TempFolder folder_;
@@ -127,9 +127,9 @@ TEST_F(DoctorTlsTest, DatesAreChecked) {
   ca_.Issue("long", {"learner", 1, true, -3600, 365 * kDay});
   ca_.Issue("short", {"learner", 2, true, -3600, 29 * kDay});
   ca_.Issue("past", {"learner", 3, true, -7200, -3600});
-  EXPECT_THAT(CheckTls(Facts("long")), IsOk("valid for 30 days and more"));
-  EXPECT_THAT(CheckTls(Facts("short")), Warns("expires within 30 days", "replace it"));
-  EXPECT_THAT(CheckTls(Facts("past")), Fails("expired on", "make-certs.sh"));
+  EXPECT_THAT(CheckTls(Files("long"), absl::Now()), IsOk("valid for 30 days and more"));
+  EXPECT_THAT(CheckTls(Files("short"), absl::Now()), Warns("expires within 30 days", "replace it"));
+  EXPECT_THAT(CheckTls(Files("past"), absl::Now()), Fails("expired on", "make-certs.sh"));
 }
 
 TEST_F(DoctorTlsTest, FilesMustMatch) {
@@ -137,15 +137,15 @@ TEST_F(DoctorTlsTest, FilesMustMatch) {
   ca_.Issue("b", {"b"});
   TestAuthority other(folder_, "other");
   other.Issue("stranger", {"stranger", 1, true, -3600, 365 * 24 * 3600});
-  TlsFacts facts = Facts("a");
-  facts.key = Facts("b").key;
-  EXPECT_THAT(CheckTls(facts), Fails("is not the key of", "make-certs.sh"));
-  facts.key.clear();
-  EXPECT_THAT(CheckTls(facts), Fails("want both or neither", "make-certs.sh"));
-  EXPECT_THAT(CheckTls(Facts("away")), Fails("away.pem", "make-certs.sh"));
-  EXPECT_THAT(CheckTls(Facts("stranger")), Fails("is not from an authority", "make-certs.sh"));
-  EXPECT_THAT(CheckTls({"", "", folder_ / "ca.pem", absl::Now()}), IsOk("readable"));
-  EXPECT_THAT(CheckTls({"", "", folder_ / "a.key", absl::Now()}), Fails("no certificate in it", "make-certs.sh"));
+  wire::TlsFiles files = Files("a");
+  files.key = Files("b").key;
+  EXPECT_THAT(CheckTls(files, absl::Now()), Fails("is not the key of", "make-certs.sh"));
+  files.key.clear();
+  EXPECT_THAT(CheckTls(files, absl::Now()), Fails("want both or neither", "make-certs.sh"));
+  EXPECT_THAT(CheckTls(Files("away"), absl::Now()), Fails("away.pem", "make-certs.sh"));
+  EXPECT_THAT(CheckTls(Files("stranger"), absl::Now()), Fails("is not from an authority", "make-certs.sh"));
+  EXPECT_THAT(CheckTls({"", "", folder_ / "ca.pem"}, absl::Now()), IsOk("readable"));
+  EXPECT_THAT(CheckTls({"", "", folder_ / "a.key"}, absl::Now()), Fails("no certificate in it", "make-certs.sh"));
 }
 
 }  // namespace doctor_checks_test

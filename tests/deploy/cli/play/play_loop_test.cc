@@ -46,7 +46,7 @@ TEST_F(PlayLoopTest, EachKeyIsAStep) {
 TEST_F(PlayLoopTest, InRealTimeTheLastKeyOfAStepCounts) {
   Play({'s', 'a', kNoKey, kNoKey, kNoKey, kNoKey}, absl::Milliseconds(300));
   EXPECT_EQ(session_->world().step(), 2) << "400 ms and 400 ms of waiting";
-  EXPECT_EQ(session_->world().player_facing().x, -1);
+  EXPECT_EQ(session_->world().objects()[0].facing.x, -1);
 }
 
 TEST_F(PlayLoopTest, HelpPausesTheGame) {

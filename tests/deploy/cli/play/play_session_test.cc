@@ -3,7 +3,9 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "deploy/cli/screen/terminal_screen.h"
 #include "tests/fakes/status_matchers.h"
+#include "tests/golden/world_editor.h"
 
 namespace craftfleet {
 namespace {
@@ -70,7 +72,11 @@ TEST(PlaySession, ADeadPlayerDoesNotActUntilTheNextEpisode) {
   ASSERT_THAT(session, IsOk());
   for (int i = 0; i < 10000 && !(*session)->ended(); ++i) ASSERT_THAT((*session)->Step(Action::kNoop), IsOk());
   ASSERT_TRUE((*session)->ended());
-  EXPECT_THAT((*session)->Panel(), AllOf(HasLine("died"), HasLine("n: next episode")));
+  WorldEditor::State(const_cast<World*>(&(*session)->world())).player.inventory.fill(9);
+  const std::vector<TextLine> panel = (*session)->Panel();
+  EXPECT_THAT(panel, AllOf(HasLine("died"), HasLine("n: next episode")));
+  for (const TextLine& line : panel) EXPECT_LE(line.text.size(), size_t{kTextColumns}) << line.text;
+  EXPECT_THAT(PageRows({0, 0, "", panel}, kLeastColumns, kLeastRows), Contains(HasSubstr("n: next episode")));
   const int64_t steps = (*session)->world().step();
   ASSERT_THAT((*session)->Step(Action::kMoveLeft), IsOk());
   EXPECT_EQ((*session)->world().step(), steps);

@@ -32,6 +32,8 @@ TEST(TakeKeys, KnowsEscapeAndCtrlC) {
 TEST(TakeKeys, SkipsWhatItDoesNotKnow) {
   EXPECT_THAT(KeysIn("\x1b[6~\x1b[1;5H"), IsEmpty());
   EXPECT_THAT(KeysIn("\x01\xc3\xa4q"), ElementsAre('q'));
+  EXPECT_THAT(KeysIn("\x1b[[Aq"), ElementsAre('q')) << "F1 on the console of Linux";
+  EXPECT_THAT(KeysIn("\x1b[["), ElementsAre('?'));
 }
 
 TEST(TakeKeys, ACtrlArrowIsAnArrow) { EXPECT_THAT(KeysIn("\x1b[1;5A"), ElementsAre(kUpKey)); }

@@ -1,17 +1,21 @@
 #include "deploy/cli/screen/terminal_screen.h"
 
 #include <fcntl.h>
+#include <sys/ioctl.h>
 #include <unistd.h>
 
+#include <atomic>
 #include <cstdlib>
 #include <memory>
 #include <string>
+#include <thread>
 #include <utility>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include "tests/fakes/status_matchers.h"
+#include "tests/fakes/wait_until.h"
 
 namespace craftfleet {
 namespace {
@@ -90,6 +94,34 @@ TEST_F(TerminalKeys, EscapeAloneIsAKey) {
   EXPECT_EQ(screen_->ReadKey(absl::Seconds(10)), kEscapeKey);
   Type("q");
   EXPECT_EQ(screen_->ReadKey(absl::Seconds(10)), 'q');
+}
+
+// Other programs of a shell's job share its setting, and may have made it so.
+TEST_F(TerminalKeys, ANonBlockingTerminalShowsAllOfAPage) {
+  ASSERT_NE(screen_, nullptr);
+  const winsize size = {100, 400, 0, 0};
+  ASSERT_EQ(ioctl(keyboard_, TIOCSWINSZ, &size), 0);
+  ASSERT_EQ(fcntl(STDOUT_FILENO, F_SETFL, fcntl(STDOUT_FILENO, F_GETFL) | O_NONBLOCK), 0);
+  View view = Grey(300, 200, {});  // more than the terminal takes at once
+  for (size_t i = 0; i < view.picture.size(); ++i) view.picture[i] = static_cast<char>(i * 37);
+  view.lines.assign(100, {"text"});
+  view.lines.back().text = "the end";
+  std::atomic<bool> complete{false};
+  std::thread reader([&] {
+    std::string page;
+    char bytes[4096];
+    ssize_t count = 0;
+    while (page.find("the end") == std::string::npos && (count = read(keyboard_, bytes, sizeof(bytes))) > 0) {
+      page.append(bytes, static_cast<size_t>(count));
+    }
+    complete = true;
+  });
+  EXPECT_TRUE(WaitUntil([&] {
+    EXPECT_THAT(screen_->Show(view), IsOk());
+    return complete.load();
+  }));
+  [[maybe_unused]] const ssize_t written = write(STDOUT_FILENO, "the end", 7);  // so that the reader ends in any case
+  reader.join();
 }
 
 }  // namespace

@@ -24,13 +24,14 @@ TEST(DescribeMoment, ShowsTheStateAndEveryAction) {
   ASSERT_THAT(game, IsOk());
   ASSERT_THAT((*game)->Step(), IsOk());
   const std::vector<TextLine> lines = DescribeMoment("ppo_cnn, 100 steps", **game);
-  EXPECT_EQ(lines[0].text, "ppo_cnn, 100 steps");
-  EXPECT_EQ(lines[1].text, "seed 5, episode 2, step 1");
-  EXPECT_THAT(lines[2].text, AllOf(StartsWith("reward 0.0 (+0.0), value "), HasSubstr(".")));
-  EXPECT_EQ(lines[3].text, "health 9  food 9  drink 9  energy 9");
+  EXPECT_EQ(lines[0].text, "ppo_cnn");
+  EXPECT_EQ(lines[1].text, "100 steps");
+  EXPECT_EQ(lines[2].text, "seed 5, episode 2, step 1");
+  EXPECT_THAT(lines[3].text, AllOf(StartsWith("reward 0.0 (+0.0), value "), HasSubstr(".")));
+  EXPECT_EQ(lines[4].text, "health 9 food 9 drink 9 energy 9");
   int chosen = 0;
   for (int action = 0; action < kNumActions; ++action) {
-    const TextLine& line = lines[4 + action];
+    const TextLine& line = lines[5 + action];
     EXPECT_THAT(line.text, HasSubstr(std::string(kActionNames[action])));
     EXPECT_EQ(line.bar, (*game)->decision().odds.probs[action]);
     if (line.text[0] != '>') continue;
@@ -44,11 +45,14 @@ TEST(DescribeMoment, ShowsEverythingThatThePlayerHasBelowTheActions) {
   const auto game = AgentGame::Create(WatchedOptions(), SamplePolicy(1), 1);
   ASSERT_THAT(game, IsOk());
   auto& inventory = WorldEditor::State(const_cast<World*>(&(*game)->world())).player.inventory;
-  const std::vector<TextLine> before = DescribeMoment("", **game);
+  const std::string title = "achievement_distillation, 1,003,520 steps";
+  const std::vector<TextLine> before = DescribeMoment(title, **game);
   inventory.fill(9);
-  const std::vector<TextLine> lines = DescribeMoment("", **game);
+  const std::vector<TextLine> lines = DescribeMoment(title, **game);
   ASSERT_GT(lines.size(), before.size());
-  EXPECT_EQ(lines[4].text, before[4].text) << "the actions have moved";
+  EXPECT_EQ(lines[5].text, before[5].text) << "the actions have moved";
+  EXPECT_LE(lines.size(), 28U);
+  for (const TextLine& line : lines) EXPECT_LE(line.text.size(), size_t{kTextColumns}) << line.text;
   std::string items;
   for (size_t i = before.size(); i < lines.size(); ++i) items += lines[i].text + "; ";
   for (int i = static_cast<int>(Item::kSapling); i < kNumItems; ++i) {
