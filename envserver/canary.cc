@@ -37,9 +37,7 @@ uint64_t AddNumber(uint64_t hash, Number number) {
 
 absl::StatusOr<uint64_t> AddPart(uint64_t hash, const Part& part, const Textures& textures) {
   CRAFTFLEET_ASSIGN_OR_RETURN(const EnvName name, EnvName::Parse(part.env));
-  RenderOptions picture;
-  picture.width = part.frame_size;
-  picture.height = part.frame_size;
+  const RenderOptions picture{part.frame_size, part.frame_size};
   CRAFTFLEET_ASSIGN_OR_RETURN(std::shared_ptr<const Renderer> renderer,
                               Renderer::Create(textures, WorldOptions::FromEnvName(name), picture));
   std::vector<uint8_t> frame(renderer->frame_bytes());

@@ -91,13 +91,11 @@ int64_t EnvBatch::CountClosed(absl::Span<const OpenLane> lanes) const {
 
 absl::Status EnvBatch::CheckRoom(int64_t more) const {
   int64_t most = kMaxLanes;
-  if (recording_.has_value()) {
-    most = std::min(most, kMaxMomentBytes / (recording_->picture_bytes() + renderer_->frame_bytes()));
-  }
+  if (records_) most = std::min(most, kMaxMomentBytes / (picture_bytes() + renderer_->frame_bytes()));
   if (more + size() <= most) return absl::OkStatus();
   return absl::InvalidArgumentError(
       absl::StrFormat("%d lanes more on top of %d open ones, want at most %d in a %s", more, games_.size(), most,
-                      recording_.has_value() ? "session that records pictures of this size" : "session"));
+                      records_ ? "session that records pictures of this size" : "session"));
 }
 
 absl::Status EnvBatch::CheckStopped() {
@@ -110,17 +108,18 @@ absl::Status EnvBatch::CheckStopped() {
 
 absl::Status EnvBatch::OpenOne(const OpenLane& lane, absl::Span<uint8_t> frame) {
   if (lane.lane < 0) return absl::InvalidArgumentError(absl::StrFormat("lane %d, want at least 0", lane.lane));
-  if (lane.episode < 1 || lane.episode > kMaxEpisode) {
+  const int64_t episode = lane.snapshot.empty() ? lane.episode : 1;
+  if (episode < 1 || episode > kMaxEpisode) {
     return absl::InvalidArgumentError(
-        absl::StrFormat("lane %d: episode %d, want 1..%d", lane.lane, lane.episode, kMaxEpisode));
+        absl::StrFormat("lane %d: episode %d, want 1..%d", lane.lane, episode, kMaxEpisode));
   }
-  CRAFTFLEET_ASSIGN_OR_RETURN(Game game, Game::Create(renderer_, lane.seed, frame, lane.episode));
+  CRAFTFLEET_ASSIGN_OR_RETURN(Game game, Game::Create(renderer_, lane.seed, frame, episode));
   if (!lane.snapshot.empty()) {
     if (absl::Status status = game.Restore(lane.snapshot, frame); !status.ok()) {
       return absl::DataLossError(status.message());
     }
   }
-  if (recording_.has_value()) moments_.push_back(recording_->Take(game, frame));
+  if (records_) moments_.push_back(game.TakeMoment(frame, larger_.get()));
   Drop(lane.lane);
   more_objects_ += MoreObjects(game);
   games_.emplace(lane.lane, std::move(game));
@@ -162,7 +161,7 @@ absl::Status EnvBatch::StepNext() {
 
 Game::PlayedStep EnvBatch::StepAndDraw(Action action, Game* game, absl::Span<uint8_t> frame, StepBatch* batch) {
   std::function<void()> record;
-  if (recording_.has_value()) record = [&] { moments_.push_back(recording_->Take(*game, frame)); };
+  if (records_) record = [&] { moments_.push_back(game->TakeMoment(frame, larger_.get())); };
   return game->StepAndAutoReset(action, frame, &batch->last_frames, record);
 }
 

@@ -6,7 +6,6 @@
 #include <functional>
 #include <map>
 #include <memory>
-#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -18,7 +17,6 @@
 
 #include "common/base/types.h"
 #include "envserver/game.h"
-#include "envserver/moment_taker.h"
 
 namespace craftfleet {
 
@@ -44,10 +42,16 @@ class EnvBatch {
     std::string reason;
   };
 
-  // Observations are raw, or scene records if `format` says so and nothing is recorded.
-  explicit EnvBatch(std::shared_ptr<const Renderer> renderer, std::optional<MomentTaker> recording = std::nullopt,
-                    FrameFormat format = FrameFormat::kRaw)
-      : renderer_(std::move(renderer)), recording_(std::move(recording)), format_(format) {}
+  // Observations are raw, or scene records if `format` says so.
+  explicit EnvBatch(std::shared_ptr<const Renderer> renderer, FrameFormat format = FrameFormat::kRaw)
+      : renderer_(std::move(renderer)), format_(format) {}
+
+  // Records from now on, which needs raw observations. `larger`, with the games' world options, draws larger pictures;
+  // null: none.
+  void Record(std::shared_ptr<const Renderer> larger) {
+    records_ = true;
+    larger_ = std::move(larger);
+  }
 
   // Opens `lanes` (an open one is replaced) and writes their observations, uint8[n,H,W,3] or n records, to `frames`.
   // Lanes with an invalid snapshot are closed: refused() names them, and frames and moments contain the others only.
@@ -67,7 +71,7 @@ class EnvBatch {
   //   games were stepped, and their results are lost.
   absl::Status Step(absl::Span<const int> lanes, absl::Span<const Action> actions, bool snapshot, StepBatch* batch);
 
-  // With `recording`: the moments of the games after the last Open or Step, in its order; for a game that ended, the
+  // In a recording: the moments of the games after the last Open or Step, in its order; for a game that ended, the
   // last moment of the ended episode. The caller may move them out.
   std::vector<Moment>& moments() { return moments_; }
 
@@ -91,9 +95,9 @@ class EnvBatch {
 
   const Renderer& renderer() const { return *renderer_; }
   FrameFormat format() const { return format_; }
-  bool records() const { return recording_.has_value(); }
+  bool records() const { return records_; }
   // Of a recording's larger pictures; 0: none.
-  int picture_bytes() const { return recording_.has_value() ? recording_->picture_bytes() : 0; }
+  int picture_bytes() const { return larger_ == nullptr ? 0 : larger_->frame_bytes(); }
   int size() const { return static_cast<int>(games_.size()); }
   // The room for objects beyond kUsualObjects, of all games (SessionBytes).
   int64_t more_objects() const { return more_objects_; }
@@ -116,8 +120,9 @@ class EnvBatch {
   absl::Status StepNext();
 
   const std::shared_ptr<const Renderer> renderer_;
-  const std::optional<MomentTaker> recording_;
   const FrameFormat format_;
+  bool records_ = false;
+  std::shared_ptr<const Renderer> larger_;  // of a recording
   std::map<int, Game> games_;
   int64_t more_objects_ = 0;
   std::vector<Game*> chosen_;  // the games of the current request, in its order

@@ -1,7 +1,10 @@
 #include "envserver/env_service.h"
 
+#include <grpc/grpc.h>
+
 #include <algorithm>
 #include <limits>
+#include <string>
 #include <utility>
 #include <vector>
 
@@ -11,9 +14,9 @@
 #include "common/base/clock.h"
 #include "common/base/status_macros.h"
 #include "common/io/texture_digest.h"
+#include "common/wire/access.h"
 #include "common/wire/status_service.h"
 #include "envserver/canary.h"
-#include "envserver/render/built_in_textures.h"
 
 namespace craftfleet {
 namespace {
@@ -60,40 +63,43 @@ void EnvServiceImpl::SetRun(absl::string_view run_id) {
 }
 
 std::string EnvServiceImpl::ClientOf(const grpc::ServerContextBase& context) const {
-  std::string identity = wire::Identify(options_.access.get(), context);
+  std::string identity = wire::Identify(context);
   return identity.empty() ? wire::ClientOfPeer(context.peer()) : identity;
 }
 
 bool EnvServiceImpl::IsBoundLocked() const {
   return std::any_of(sessions_.begin(), sessions_.end(),
-                     [](const auto& entry) { return !entry.second.run_id.empty(); });
+                     [](const Session* session) { return !session->run_id.empty(); });
 }
 
 void EnvServiceImpl::EndIdlest(const std::string* client) {
   const MutexLock lock(&mu_);
   const Session* idlest = nullptr;
   int64_t idlest_since = std::numeric_limits<int64_t>::max();
-  for (const auto& [key, session] : sessions_) {
-    if (client != nullptr && session.client != *client) continue;
-    const int64_t since = *session.idle_since;
-    const bool frees_room = session.lanes > 0 || session.bytes >= kWorthEnding;
+  for (const Session* session : sessions_) {
+    if (client != nullptr && session->share->client() != *client) continue;
+    const int64_t since = session->idle_since;
+    const bool frees_room = session->lanes > 0 || session->bytes >= kWorthEnding;
     if (!frees_room || since == 0 || since >= idlest_since) continue;
-    idlest = &session;
+    idlest = session;
     idlest_since = since;
   }
   if (idlest == nullptr) return;
   const absl::Duration idle = SteadyNow() - absl::FromUnixNanos(idlest_since);
   if (idle < options_.gives_way) return;
-  log_.Warn("idle", absl::StrFormat("session of %s ended: it sent nothing for %s while others need room for games",
-                                    idlest->address, absl::FormatDuration(absl::Trunc(idle, absl::Milliseconds(1)))));
-  idlest->context->TryCancel();
+  const std::string reason = absl::StrFormat("sent nothing for %s while others need room for games",
+                                             absl::FormatDuration(absl::Trunc(idle, absl::Milliseconds(1))));
+  log_.Warn("idle", absl::StrFormat("session of %s ended: it %s", idlest->address, reason));
+  // TryCancel() cannot pass a reason.
+  grpc_call_cancel_with_status(idlest->context->c_call(), GRPC_STATUS_RESOURCE_EXHAUSTED,
+                               absl::StrCat("this session ", reason).c_str(), nullptr);
 }
 
 void EnvServiceImpl::WaitUntilEmpty(absl::Duration timeout) {
   const MutexLock lock(&mu_);
   changed_.WaitFor(&mu_, timeout, [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) {
-    for (const auto& [key, session] : sessions_) {
-      if (session.lanes > 0) return false;
+    for (const Session* session : sessions_) {
+      if (session->lanes > 0) return false;
     }
     return true;
   });
@@ -101,7 +107,7 @@ void EnvServiceImpl::WaitUntilEmpty(absl::Duration timeout) {
 
 Work EnvServiceImpl::TotalWorkLocked() const {
   Work work = ended_;
-  for (const auto& [key, session] : sessions_) work.Add(session.meter->Total());
+  for (const Session* session : sessions_) work.Add(session->meter.Total());
   return work;
 }
 
@@ -114,9 +120,9 @@ v1::ProcessSummary EnvServiceImpl::SummaryLocked() const {
   v1::ProcessSummary summary;
   Work recent;
   int lanes = 0;
-  for (const auto& [key, session] : sessions_) {
-    recent.Add(session.meter->Recent());
-    lanes += session.lanes;
+  for (const Session* session : sessions_) {
+    recent.Add(session->meter.Recent());
+    lanes += session->lanes;
   }
   summary.set_lanes(lanes);
   summary.set_policy_version(-1);
@@ -137,12 +143,12 @@ v1::ProcessSummary EnvServiceImpl::RecentSummary() {
 void EnvServiceImpl::FillStatus(v1::StatusReply* reply) const {
   const MutexLock lock(&mu_);
   reply->set_run_id(run_id_);
-  for (const auto& [key, session] : sessions_) {
+  for (const Session* session : sessions_) {
     v1::Peer* peer = reply->add_peers();
-    peer->set_name(session.name);
+    peer->set_name(session->name);
     peer->set_role("actor");
-    peer->set_address(session.address);
-    peer->set_state(absl::StrFormat("%d lanes", session.lanes));
+    peer->set_address(session->address);
+    peer->set_state(absl::StrFormat("%d lanes", session->lanes));
   }
   *reply->mutable_summary() = SummaryLocked();
   wire::AddMetric("sessions", static_cast<double>(sessions_.size()), reply);

@@ -5,8 +5,8 @@
 
 #include <atomic>
 #include <cstdint>
-#include <map>
 #include <memory>
+#include <set>
 #include <string>
 #include <utility>
 #include <vector>
@@ -20,7 +20,6 @@
 #include "common/process/cgroup.h"
 #include "common/telemetry/activity_meter.h"
 #include "common/telemetry/limited_log.h"
-#include "common/wire/access.h"
 #include "common/wire/stream_watch.h"
 #include "craftfleet/v1/environment.grpc.pb.h"
 #include "craftfleet/v1/status.pb.h"
@@ -48,8 +47,6 @@ class EnvServiceImpl final : public v1::EnvironmentService::CallbackService {
     // A session that has sent no request for this long ends if others need the room of its games.
     absl::Duration gives_way = absl::Seconds(10);
     int game_threads = DefaultThreads();  // that play the games of all sessions, at least 1, and as many for slow ones
-    // Identifies clients by the access file; null: by certificate.
-    std::shared_ptr<const wire::AccessControl> access = nullptr;
   };
 
   // Reads the textures in `texture_dir` once; empty: those compiled into the program. InvalidArgument: a budget that
@@ -76,20 +73,10 @@ class EnvServiceImpl final : public v1::EnvironmentService::CallbackService {
   void WaitUntilEmpty(absl::Duration timeout) ABSL_LOCKS_EXCLUDED(mu_);
 
  private:
+  // From the hello on.
   struct Session {
-    std::string name;    // as its client calls itself
-    std::string client;  // as ClientOf
-    std::string address;
-    std::string run_id;  // empty: any
-    int lanes = 0;
-    int64_t bytes = 0;  // reserved without its games
-    const ActivityMeter* meter = nullptr;
-    grpc::CallbackServerContext* context = nullptr;
-    const std::atomic<int64_t>* idle_since = nullptr;  // ns of the steady clock; 0: it is served
-  };
-  // The games of a session, and what the request that it is answering refers to.
-  struct Games {
-    Games(GameBudget::Share* of_session, EnvBatch opened) : share(of_session), batch(std::move(opened)) {}
+    Session(GameBudget::Share* of_session, EnvBatch opened, Clock* clock)
+        : share(of_session), batch(std::move(opened)), meter(clock, Activity::kEnvironment) {}
     // Reserves memory for the games of the batch and `more_games` like them, with room for so many objects more than
     // usual, or releases it. Errors as GameBudget::Share::Set.
     absl::Status Reserve(int64_t more_games, int64_t more_objects);
@@ -97,26 +84,34 @@ class EnvServiceImpl final : public v1::EnvironmentService::CallbackService {
     bool slow() const;
 
     GameBudget::Share* const share;
+    // Its games, and what the request that it is answering refers to.
     EnvBatch batch;
     std::vector<EnvBatch::OpenLane> to_open;
     std::vector<Action> actions;
     StepBatch step;
+    // What other threads read while it is in `sessions_`.
+    ActivityMeter meter;
+    std::atomic<int64_t> idle_since{0};  // ns of the steady clock; 0: it is served
+    int lanes = 0;                       // changes with `mu_` locked; what follows does not change
+    std::string name;                    // as its client calls itself
+    std::string address;
+    std::string run_id;  // empty: any
+    int64_t bytes = 0;   // reserved without its games
+    grpc::CallbackServerContext* context = nullptr;
   };
-  class SessionGuard;
   class PlayStream;
 
   EnvServiceImpl(std::shared_ptr<const Textures> textures, std::string texture_digest, std::string canary,
                  const Options& options);
 
-  // play_requests.cc: performs the handshake and returns the session's games, none of which is open. `share` outlives
-  // them.
+  // play_requests.cc: performs the handshake and returns the session, without open games. `share` outlives it.
   // FailedPrecondition or InvalidArgument: it cannot be served.   ResourceExhausted: its pictures exceed the memory
   // limits.
-  absl::StatusOr<std::unique_ptr<Games>> Greet(const v1::SessionHello& hello, GameBudget::Share* share);
+  absl::StatusOr<std::unique_ptr<Session>> Greet(const v1::SessionHello& hello, GameBudget::Share* share);
   // Begins to answer `request`, which must not change meanwhile. If that leaves games unfinished, EnvBatch::Resume goes
   // on. Then Complete fills in `reply`.   InvalidArgument, ResourceExhausted, Cancelled: the session ends.
-  static absl::Status Begin(const v1::PlayRequest& request, Games* games, v1::PlayReply* reply);
-  absl::Status Complete(const v1::PlayRequest& request, Games* games, v1::PlayReply* reply);
+  static absl::Status Begin(const v1::PlayRequest& request, Session* session, v1::PlayReply* reply);
+  absl::Status Complete(const v1::PlayRequest& request, Session* session, v1::PlayReply* reply);
 
   const std::shared_ptr<const Textures> textures_;
   const std::string texture_digest_;
@@ -127,7 +122,7 @@ class EnvServiceImpl final : public v1::EnvironmentService::CallbackService {
 
   Work TotalWorkLocked() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   v1::ProcessSummary SummaryLocked() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
-  // What tells the client of a session apart from others, as in the learner: its certificate or token, else its host.
+  // What tells the client of a session apart from others, as in the learner: its certificate, else its host.
   std::string ClientOf(const grpc::ServerContextBase& context) const;
   // Whether a session is open that plays for a run.
   bool IsBoundLocked() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
@@ -146,7 +141,7 @@ class EnvServiceImpl final : public v1::EnvironmentService::CallbackService {
   CondVar changed_;                              // games of a session
   std::string own_run_id_ ABSL_GUARDED_BY(mu_);  // as SetRun; empty: none
   std::string run_id_ ABSL_GUARDED_BY(mu_);      // of the open sessions; kept after the last one for the status page
-  std::map<const void*, Session> sessions_ ABSL_GUARDED_BY(mu_);
+  std::set<const Session*> sessions_ ABSL_GUARDED_BY(mu_);
   Work ended_ ABSL_GUARDED_BY(mu_);  // of sessions that have ended
   v1::ProcessSummary recent_summary_ ABSL_GUARDED_BY(mu_);
   absl::Time summarized_ ABSL_GUARDED_BY(mu_) = absl::InfinitePast();

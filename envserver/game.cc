@@ -1,5 +1,6 @@
 #include "envserver/game.h"
 
+#include <algorithm>
 #include <optional>
 #include <utility>
 
@@ -13,8 +14,7 @@ namespace {
 // A game begins anew as soon as it ends, so none is saved at its end. Another step would make a longer episode than the
 // options allow.
 absl::Status CheckGoesOn(const World& world) {
-  const int64_t length = world.options().length;
-  if (world.player().health() > 0 && (length == 0 || world.step() < length)) return absl::OkStatus();
+  if (world.end() == StepEnd::kNone) return absl::OkStatus();
   return absl::DataLossError(absl::StrCat("snapshot: of a game that has ended, with health ", world.player().health(),
                                           " at step ", world.step()));
 }
@@ -100,6 +100,24 @@ absl::Status Game::Restore(absl::string_view snapshot, absl::Span<uint8_t> frame
   world_ = std::move(restored);
   Draw(frame);
   return absl::OkStatus();
+}
+
+Moment Game::TakeMoment(absl::Span<const uint8_t> frame, const Renderer* larger) const {
+  Moment moment;
+  moment.frame.assign(reinterpret_cast<const char*>(frame.data()), frame.size());
+  if (larger != nullptr) {
+    moment.picture.resize(larger->frame_bytes());
+    RandomStream random = before_picture();
+    larger->Render(world_, &random, FrameBytes(&moment.picture));
+  }
+  moment.semantic.resize(world_.options().width * world_.options().height);
+  world_.SemanticView(FrameBytes(&moment.semantic));
+  moment.player_x = world_.player_position().x;
+  moment.player_y = world_.player_position().y;
+  const Player& player = world_.player();
+  std::copy(player.inventory.begin(), player.inventory.end(), moment.inventory.begin());
+  moment.achievements = player.achievements;
+  return moment;
 }
 
 void Game::Draw(absl::Span<uint8_t> frame) {

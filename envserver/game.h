@@ -68,6 +68,10 @@ class Game {
   //   World::Restore().
   absl::Status Restore(absl::string_view snapshot, absl::Span<uint8_t> frame);
 
+  // The game's state for videos and episode files, with its current `frame` and the picture that `larger` draws; null:
+  // none. The game is not affected: by night, the picture's noise comes from a copy of its stream.
+  Moment TakeMoment(absl::Span<const uint8_t> frame, const Renderer* larger) const;
+
   const World& world() const { return world_; }
   // The world's stream before the current picture was drawn; with it the same picture can be drawn again at night.
   const RandomStream& before_picture() const {

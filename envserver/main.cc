@@ -1,8 +1,14 @@
 // craftfleet-envserver: runs Crafter games for actors.
 
+#include <arpa/inet.h>
+#include <netinet/in.h>
+
+#include <string>
+
 #include <absl/flags/flag.h>
 #include <absl/strings/str_format.h>
 #include <absl/strings/string_view.h>
+#include <absl/strings/strip.h>
 #include <absl/time/time.h>
 
 #include "common/base/status_macros.h"
@@ -11,11 +17,10 @@
 #include "common/process/shared_flags.h"
 #include "common/telemetry/log.h"
 #include "common/wire/channel.h"
-#include "common/wire/channel_flags.h"
-#include "common/wire/metrics_flags.h"
+#include "common/wire/metrics.h"
 #include "common/wire/protocol.h"
-#include "common/wire/server_flags.h"
 #include "common/wire/status_service.h"
+#include "common/wire/wire_flags.h"
 #include "envserver/announcer.h"
 #include "envserver/env_service.h"
 
@@ -29,7 +34,7 @@ ABSL_FLAG(int32_t, max_session_mb, 512,
 ABSL_FLAG(int32_t, max_games_mb, 2048, "memory in MiB for the games of all sessions, --max_session_mb..1000000");
 ABSL_FLAG(int32_t, max_client_percent, 50,
           "part of --max_games and --max_games_mb for all sessions of one client, in percent, 1..100\n"
-          "at least the limits of one session; a client is a certificate or token and, without either, a host");
+          "at least the limits of one session; a client is a certificate and, without one, a host");
 ABSL_FLAG(craftfleet::TimeSpan, hello_timeout, {absl::Seconds(10)},
           "how long a new session may take to send its first message, 1s..1h");
 ABSL_FLAG(craftfleet::TimeSpan, idle_timeout, {absl::Minutes(10)},
@@ -79,6 +84,17 @@ absl::StatusOr<EnvServiceImpl::Options> OptionsFromFlags() {
 
 std::string LearnerFromFlag() { return absl::GetFlag(FLAGS_learner).address.value_or(""); }
 
+// Whether the host of `address` stands for all addresses of this machine.
+bool IsWildcard(absl::string_view address) {
+  absl::string_view part = address.substr(0, address.rfind(':'));
+  if (absl::ConsumePrefix(&part, "[")) absl::ConsumeSuffix(&part, "]");
+  const std::string host(part);
+  in_addr four;
+  in6_addr six;
+  return (inet_aton(host.c_str(), &four) != 0 && four.s_addr == INADDR_ANY) ||
+         (inet_pton(AF_INET6, host.c_str(), &six) == 1 && IN6_IS_ADDR_UNSPECIFIED(&six));
+}
+
 // Before anything listens.
 absl::Status CheckLearnerFlags() {
   const std::string learner = LearnerFromFlag();
@@ -91,8 +107,7 @@ absl::Status CheckLearnerFlags() {
   const absl::string_view flag = advertise.empty() ? "listen" : "advertise";
   const std::string address =
       advertise.empty() ? absl::GetFlag(FLAGS_listen).address.value_or(kDefaultAddress) : advertise;
-  const absl::string_view host = absl::string_view(address).substr(0, address.rfind(':'));
-  if (host == "0.0.0.0" || host == "[::]") {
+  if (IsWildcard(address)) {
     return absl::InvalidArgumentError(
         absl::StrFormat("--%s=%s is every address of this host: give the one that actors are to connect to with "
                         "--advertise=HOST:PORT",
@@ -121,24 +136,21 @@ absl::StatusOr<std::unique_ptr<Announcer>> AnnounceIfAsked(EnvServiceImpl* servi
 }
 
 absl::Status Run() {
-  CRAFTFLEET_ASSIGN_OR_RETURN(const wire::MetricsServer::Options metrics_options,
-                              wire::MetricsOptionsFromFlags(wire::kAnyFreePort));
-  CRAFTFLEET_ASSIGN_OR_RETURN(EnvServiceImpl::Options options, OptionsFromFlags());
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string metrics_address, wire::MetricsAddressFromFlags(wire::kAnyFreePort));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const EnvServiceImpl::Options options, OptionsFromFlags());
   CRAFTFLEET_RETURN_IF_ERROR(CheckLearnerFlags());
   wire::Server::Options listen =
       wire::ServerOptionsFromFlags(absl::GetFlag(FLAGS_listen).address.value_or(kDefaultAddress));
   // Without an address no client could reach it.
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckAddress("listen", listen.address));
   listen.max_message_bytes = EnvServiceImpl::kMaxRequestBytes;
-  CRAFTFLEET_RETURN_IF_ERROR(listen.OpenAccess());
-  options.access = listen.access;
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<EnvServiceImpl> service,
                               EnvServiceImpl::Create(absl::GetFlag(FLAGS_textures), options));
   wire::StatusServiceImpl status("envserver", [&service](v1::StatusReply* reply) { service->FillStatus(reply); });
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<wire::Server> server,
                               wire::Server::Create(listen, {service.get(), &status}));
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<wire::MetricsServer> metrics,
-                              wire::ServeMetrics(metrics_options, &status, [&server] { return server->serving(); }));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<wire::HttpServer> metrics,
+                              wire::ServeMetrics(metrics_address, &status, [&server] { return server->serving(); }));
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<Announcer> announcer,
                               AnnounceIfAsked(service.get(), status.name(), server->address()));
   StopSignal signal([&] {

@@ -1,7 +1,6 @@
 // EnvServiceImpl: the requests of a session.
 #include <algorithm>
 #include <memory>
-#include <optional>
 #include <utility>
 #include <vector>
 
@@ -27,8 +26,9 @@ constexpr int kQuicklyDrawnBytes = 256 * 256 * 3;
 int64_t FrameBytes(const RenderOptions& picture) { return int64_t{picture.width} * picture.height * 3; }
 
 // The first format that the client asks for and that this server can send. Scene records only to a client that draws
-// with the same textures: the handshake compares those that it names.
+// with the same textures: the handshake compares those that it names. Recordings need raw frames.
 FrameFormat ChooseFormat(const v1::SessionHello& hello) {
+  if (hello.has_recording()) return FrameFormat::kRaw;
   for (const int format : hello.frame_formats()) {
     if (format == v1::FRAMES_SCENE && !hello.texture_digest().empty()) return FrameFormat::kScene;
   }
@@ -65,18 +65,18 @@ void AddRefused(const std::vector<EnvBatch::Refused>& refused, LimitedLog* log, 
 
 }  // namespace
 
-absl::Status EnvServiceImpl::Games::Reserve(int64_t more_games, int64_t more_objects) {
+absl::Status EnvServiceImpl::Session::Reserve(int64_t more_games, int64_t more_objects) {
   const int64_t games = batch.size() + more_games;
   return share->Set(games, SessionBytes(games, batch.more_objects() + more_objects, batch.renderer().frame_bytes(),
                                         batch.records(), batch.picture_bytes()));
 }
 
-bool EnvServiceImpl::Games::slow() const {
+bool EnvServiceImpl::Session::slow() const {
   return std::max(batch.renderer().frame_bytes(), batch.picture_bytes()) > kQuicklyDrawnBytes;
 }
 
-absl::StatusOr<std::unique_ptr<EnvServiceImpl::Games>> EnvServiceImpl::Greet(const v1::SessionHello& hello,
-                                                                             GameBudget::Share* share) {
+absl::StatusOr<std::unique_ptr<EnvServiceImpl::Session>> EnvServiceImpl::Greet(const v1::SessionHello& hello,
+                                                                               GameBudget::Share* share) {
   const wire::Handshake ours = {wire::kProtocolVersion, "", texture_digest_};
   const wire::Handshake theirs = {hello.protocol_version(), hello.run_id(), hello.texture_digest()};
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckHandshake("environment server", ours, "actor", theirs));
@@ -92,47 +92,47 @@ absl::StatusOr<std::unique_ptr<EnvServiceImpl::Games>> EnvServiceImpl::Greet(con
   WorldOptions world = WorldOptions::FromEnvName(name);
   if (hello.env().length() != 0) world.length = hello.env().length();
   CRAFTFLEET_RETURN_IF_ERROR(world.Validate());
-  RenderOptions picture;
-  picture.width = hello.env().frame_size();
-  picture.height = hello.env().frame_size();
-  picture.inventory = name.inventory;
+  const RenderOptions picture{hello.env().frame_size(), hello.env().frame_size(), name.inventory};
   CRAFTFLEET_RETURN_IF_ERROR(picture.Validate(world));
-  RenderOptions larger_picture = picture;
-  larger_picture.width = hello.recording().picture_size();
-  larger_picture.height = hello.recording().picture_size();
-  const bool larger_wanted = larger_picture.width != 0;
+  const int larger_size = hello.recording().picture_size();
+  const RenderOptions larger_picture{larger_size, larger_size, name.inventory};
+  const bool larger_wanted = larger_size != 0;
   if (larger_wanted) CRAFTFLEET_RETURN_IF_ERROR(larger_picture.Validate(world));
   // A renderer's tables are as large as some pictures.
   CRAFTFLEET_RETURN_IF_ERROR(share->Set(0, SessionBytes(0, 0, FrameBytes(picture), hello.has_recording(),
                                                         larger_wanted ? FrameBytes(larger_picture) : 0)));
-  CRAFTFLEET_ASSIGN_OR_RETURN(std::shared_ptr<const Renderer> renderer, Renderer::Create(*textures_, world, picture));
-  if (!hello.has_recording()) {
-    return std::make_unique<Games>(share, EnvBatch(std::move(renderer), std::nullopt, ChooseFormat(hello)));
-  }
+  absl::StatusOr<std::shared_ptr<const Renderer>> renderer = Renderer::Create(*textures_, world, picture);
+  // The textures lack a variant of this environment.
+  if (absl::IsNotFound(renderer.status())) return absl::FailedPreconditionError(renderer.status().message());
+  CRAFTFLEET_RETURN_IF_ERROR(renderer.status());
+  EnvBatch batch(*std::move(renderer), ChooseFormat(hello));
   std::shared_ptr<const Renderer> larger;
   if (larger_wanted) {
     CRAFTFLEET_ASSIGN_OR_RETURN(larger, Renderer::Create(*textures_, world, larger_picture));
   }
-  return std::make_unique<Games>(share, EnvBatch(std::move(renderer), MomentTaker(std::move(larger))));
+  if (hello.has_recording()) batch.Record(std::move(larger));
+  return std::make_unique<Session>(share, std::move(batch), &clock_);
 }
 
-absl::Status EnvServiceImpl::Begin(const v1::PlayRequest& request, Games* games, v1::PlayReply* reply) {
+absl::Status EnvServiceImpl::Begin(const v1::PlayRequest& request, Session* session, v1::PlayReply* reply) {
   switch (request.request_case()) {
     case v1::PlayRequest::kStep:
       CRAFTFLEET_RETURN_IF_ERROR(CheckCount(request.step().lanes_size()));
-      CRAFTFLEET_RETURN_IF_ERROR(wire::ActionsFromProto(request.step(), &games->actions));
-      return games->batch.Step(request.step().lanes(), games->actions, request.step().snapshot(), &games->step);
+      CRAFTFLEET_RETURN_IF_ERROR(wire::ActionsFromProto(request.step(), &session->actions));
+      return session->batch.Step(request.step().lanes(), session->actions, request.step().snapshot(), &session->step);
     case v1::PlayRequest::kOpen:
-      games->to_open.clear();
+      session->to_open.clear();
       for (const v1::OpenLanes::Lane& lane : request.open().lanes()) {
-        games->to_open.push_back({lane.lane(), lane.seed(), lane.episode() == 0 ? 1 : lane.episode(), lane.snapshot()});
+        session->to_open.push_back(
+            {lane.lane(), lane.seed(), lane.episode() == 0 ? 1 : lane.episode(), lane.snapshot()});
       }
-      CRAFTFLEET_RETURN_IF_ERROR(games->Reserve(games->batch.CountClosed(games->to_open), MostObjects(request.open())));
+      CRAFTFLEET_RETURN_IF_ERROR(
+          session->Reserve(session->batch.CountClosed(session->to_open), MostObjects(request.open())));
       reply->Clear();
-      return games->batch.Open(games->to_open, reply->mutable_frames());
+      return session->batch.Open(session->to_open, reply->mutable_frames());
     case v1::PlayRequest::kClose:
       CRAFTFLEET_RETURN_IF_ERROR(CheckCount(request.close().lanes_size()));
-      games->batch.Close(request.close().lanes());
+      session->batch.Close(request.close().lanes());
       return absl::OkStatus();
     case v1::PlayRequest::kHello:
       return absl::InvalidArgumentError("hello came twice");
@@ -142,19 +142,19 @@ absl::Status EnvServiceImpl::Begin(const v1::PlayRequest& request, Games* games,
   return absl::InvalidArgumentError("an empty or unreadable request, want open, step or close");
 }
 
-absl::Status EnvServiceImpl::Complete(const v1::PlayRequest& request, Games* games, v1::PlayReply* reply) {
-  EnvBatch& batch = games->batch;
+absl::Status EnvServiceImpl::Complete(const v1::PlayRequest& request, Session* session, v1::PlayReply* reply) {
+  EnvBatch& batch = session->batch;
   if (request.has_step()) {
-    episodes_ += static_cast<int64_t>(games->step.episodes.size());
+    episodes_ += static_cast<int64_t>(session->step.episodes.size());
     reply->clear_refused();
-    wire::ToProto(&games->step, reply);
+    wire::ToProto(&session->step, reply);
     reply->clear_episode_steps();
     for (const int lane : request.step().lanes()) reply->add_episode_steps(batch.EpisodeSteps(lane));
     wire::ToProto(std::move(batch.moments()), reply);
-    return games->Reserve(0, 0);  // objects appear in play
+    return session->Reserve(0, 0);  // objects appear in play
   }
   if (request.has_open()) {
-    games->to_open = {};
+    session->to_open = {};
     AddRefused(batch.refused(), &log_, reply);
     for (const v1::OpenLanes::Lane& lane : request.open().lanes()) {
       if (batch.IsOpen(lane.lane())) reply->add_episode_steps(batch.EpisodeSteps(lane.lane()));
@@ -162,12 +162,12 @@ absl::Status EnvServiceImpl::Complete(const v1::PlayRequest& request, Games* gam
     wire::ToProto(std::move(batch.moments()), reply);
     if (!batch.refused().empty()) reply->mutable_frames()->shrink_to_fit();
   } else {  // what the closed games needed is counted no longer
-    games->step = {};
-    games->step.frames.shrink_to_fit();  // an assignment keeps its memory
-    games->step.last_frames.shrink_to_fit();
+    session->step = {};
+    session->step.frames.shrink_to_fit();  // an assignment keeps its memory
+    session->step.last_frames.shrink_to_fit();
     *reply = {};
   }
-  return games->Reserve(0, 0);  // some of the lanes may have been open already, or refused
+  return session->Reserve(0, 0);  // some of the lanes may have been open already, or refused
 }
 
 }  // namespace craftfleet

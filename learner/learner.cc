@@ -13,6 +13,7 @@
 #include "common/agent/canary.h"
 #include "common/base/status_macros.h"
 #include "common/config/config.h"
+#include "common/config/env_name.h"
 #include "common/config/known_canary.h"
 #include "common/io/files.h"
 #include "common/io/snapshot_envelope.h"
@@ -20,11 +21,12 @@
 #include "common/process/version.h"
 #include "common/telemetry/log.h"
 #include "envserver/canary.h"
+#include "envserver/render/renderer.h"
 #include "envserver/render/textures.h"
+#include "envserver/world/options.h"
 #include "learner/runnable_config.h"
 #include "learner/service/fleet_summary.h"
 #include "learner/training/records/lane_loading.h"
-#include "learner/training/steps_to_train.h"
 
 namespace craftfleet {
 namespace {
@@ -80,7 +82,11 @@ absl::Status CheckConfigFile(const std::string& logdir, const v1::CheckpointStat
 absl::StatusOr<std::string> InitFrom(const std::string& path, const v1::RunConfig& config, PpoUpdater* updater) {
   const auto load = [&]() -> absl::StatusOr<std::string> {
     std::string folder;
-    CRAFTFLEET_ASSIGN_OR_RETURN(const Checkpoint checkpoint, LoadFound(path, config.agent(), &folder));
+    CRAFTFLEET_ASSIGN_OR_RETURN(const Checkpoint checkpoint, LoadFound(path, &folder));
+    if (const std::string& agent = checkpoint.state.config().agent(); agent != config.agent()) {
+      return absl::FailedPreconditionError(absl::StrCat("checkpoint ", folder, " is of agent ", agent, ", not of ",
+                                                        config.agent(), ": name that agent or another checkpoint"));
+    }
     CRAFTFLEET_RETURN_IF_ERROR(updater->StartFrom(*checkpoint.weights, checkpoint.optimizer));
     const v1::CheckpointState& state = checkpoint.state;
     return absl::StrFormat("run %s after iteration %d, %d steps", state.run_id(), state.iteration(), state.env_steps());
@@ -113,6 +119,19 @@ absl::StatusOr<std::string> ExpectedGame(const std::string& texture_dir, absl::s
   if (!known.empty()) return std::string(known);
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::shared_ptr<const Textures> textures, Textures::Load(texture_dir));
   return GameCanary(*textures);
+}
+
+// InvalidArgument if the textures lack variants of objects that an environment of the run shows.
+absl::Status CheckDrawable(const std::string& texture_dir, const v1::RunConfig& config) {
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::shared_ptr<const Textures> textures, Textures::Load(texture_dir));
+  for (const std::string& env : {config.env().name(), config.eval().env()}) {
+    CRAFTFLEET_ASSIGN_OR_RETURN(const EnvName name, EnvName::Parse(env));
+    const absl::Status status = Renderer::Create(*textures, WorldOptions::FromEnvName(name), {}).status();
+    if (status.ok()) continue;
+    return absl::InvalidArgumentError(
+        absl::StrFormat("environment %s: %s; give --textures with all variants of objects", env, status.message()));
+  }
+  return absl::OkStatus();
 }
 
 // The build that workers of the run must match, with this canary of their game.
@@ -223,7 +242,7 @@ absl::StatusOr<Learner::Loaded> Learner::Load(const Options& options, const v1::
   loaded.config = config;
   loaded.clock = std::make_unique<RealClock>();
   CRAFTFLEET_ASSIGN_OR_RETURN(loaded.texture_digest, TextureDigest(options.texture_dir));
-  const ProgramInfo program = {std::string(ProgramVersion()), std::string(GitRevision()), loaded.texture_digest};
+  CRAFTFLEET_RETURN_IF_ERROR(CheckDrawable(options.texture_dir, config));
   const bool loads_weights = options.resume || !options.init_from.empty();
   CRAFTFLEET_ASSIGN_OR_RETURN(loaded.updater, PpoUpdater::Create(config, options.threads, options.device,
                                                                  loads_weights ? PpoUpdater::Start::kZeros
@@ -236,13 +255,13 @@ absl::StatusOr<Learner::Loaded> Learner::Load(const Options& options, const v1::
     if (!options.init_from.empty()) {
       CRAFTFLEET_ASSIGN_OR_RETURN(origin, InitFrom(options.init_from, config, loaded.updater.get()));
     }
-    CRAFTFLEET_ASSIGN_OR_RETURN(loaded.folder,
-                                RunFolder::Create(options.logdir, config, program, loaded.clock.get(), origin));
+    CRAFTFLEET_ASSIGN_OR_RETURN(
+        loaded.folder, RunFolder::Create(options.logdir, config, loaded.texture_digest, loaded.clock.get(), origin));
     return loaded;
   }
   CRAFTFLEET_RETURN_IF_ERROR(CheckSameRun(options.logdir, config));
-  CRAFTFLEET_ASSIGN_OR_RETURN(ResumedRun run, RunFolder::Resume(options.logdir, {options.resume_from, config.agent()},
-                                                                program, loaded.clock.get()));
+  CRAFTFLEET_ASSIGN_OR_RETURN(ResumedRun run, RunFolder::Resume(options.logdir, options.resume_from,
+                                                                loaded.texture_digest, loaded.clock.get()));
   CRAFTFLEET_RETURN_IF_ERROR(CheckConfigFile(options.logdir, run.checkpoint.state, config));
   CRAFTFLEET_RETURN_IF_ERROR(CheckStepsLeft(config, run.checkpoint.state));
   if (absl::Status load = loaded.updater->Load(*run.checkpoint.weights, run.checkpoint.optimizer); !load.ok()) {

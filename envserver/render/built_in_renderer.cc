@@ -7,8 +7,6 @@
 #include "common/base/mutex.h"
 #include "common/base/status_macros.h"
 #include "common/config/env_name.h"
-#include "common/io/texture_digest.h"
-#include "envserver/render/built_in_textures.h"
 
 namespace craftfleet {
 namespace {
@@ -32,19 +30,11 @@ absl::StatusOr<std::shared_ptr<const Renderer>> BuiltInRenderer(absl::string_vie
   const MutexLock lock(&shared.mu);
   std::weak_ptr<const Renderer>& entry = shared.renderers[{name.ToString(), frame_size}];
   if (std::shared_ptr<const Renderer> renderer = entry.lock(); renderer != nullptr) return renderer;
-  RenderOptions picture;
-  picture.width = frame_size;
-  picture.height = frame_size;
-  picture.inventory = name.inventory;
+  const RenderOptions picture{frame_size, frame_size, name.inventory};
   CRAFTFLEET_ASSIGN_OR_RETURN(std::shared_ptr<const Renderer> renderer,
                               Renderer::Create(*Textures::BuiltIn(), WorldOptions::FromEnvName(name), picture));
   entry = renderer;
   return renderer;
-}
-
-bool HasBuiltInTextures(absl::string_view digest) {
-  static const auto* const built_in = new std::string(TextureDigest(BuiltInTextures()));
-  return digest == *built_in;
 }
 
 }  // namespace craftfleet

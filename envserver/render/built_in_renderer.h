@@ -16,7 +16,4 @@ namespace craftfleet {
 //   InvalidArgument: no such environment, or no such size; names it.
 absl::StatusOr<std::shared_ptr<const Renderer>> BuiltInRenderer(absl::string_view env, int frame_size);
 
-// Whether `digest` is that of the textures that are compiled in. Thread-safe.
-bool HasBuiltInTextures(absl::string_view digest);
-
 }  // namespace craftfleet

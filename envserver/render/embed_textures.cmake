@@ -1,4 +1,4 @@
-# Writes the C++ source of BuiltInTextures() (built_in_textures.h): every *.png of a folder, byte for byte, sorted by name.
+# Writes the C++ source of BuiltInTextures() (textures.h): every *.png of a folder, byte for byte, sorted by name.
 #
 # Usage: cmake -DFOLDER=DIR -DOUTPUT=FILE.cc -P embed_textures.cmake
 file(GLOB files LIST_DIRECTORIES false ${FOLDER}/*.png)
@@ -12,7 +12,7 @@ foreach(file IN LISTS files)
   string(REGEX REPLACE "(..)" "\\\\x\\1" bytes "${hex}")
   string(APPEND entries "    {\"${name}\", absl::string_view(\"${bytes}\", ${size})},\n")
 endforeach()
-file(WRITE ${OUTPUT} "#include \"envserver/render/built_in_textures.h\"
+file(WRITE ${OUTPUT} "#include \"envserver/render/textures.h\"
 
 namespace craftfleet {
 namespace {

@@ -4,13 +4,11 @@
 
 #include <absl/status/status.h>
 #include <absl/strings/str_cat.h>
-#include <absl/types/span.h>
 
 #include "common/base/check.h"
 #include "common/base/crafter.h"
 #include "common/base/status_macros.h"
 #include "common/io/files.h"
-#include "envserver/render/built_in_textures.h"
 #include "envserver/render/sprites.h"
 #include "envserver/world/state.h"
 

@@ -10,10 +10,16 @@
 
 #include <absl/status/statusor.h>
 #include <absl/strings/string_view.h>
+#include <absl/types/span.h>
 
+#include "common/io/texture_digest.h"
 #include "envserver/render/png_texture.h"
 
 namespace craftfleet {
+
+// The PNG files of envserver/textures, compiled in (embed_textures.cmake): an environment server needs no files beside
+// it. Sorted by name; valid as long as the program runs. Thread-safe.
+absl::Span<const TextureFile> BuiltInTextures();
 
 class Textures {
  public:

@@ -38,9 +38,9 @@ char LetterOf(ObjectType type) {
   }
 }
 
-Variant DrawForLetter(const WorldOptions& options, char letter, absl::FunctionRef<double()> uniform) {
+Variant DrawForLetter(const WorldOptions& options, char letter, RandomStream* random) {
   if (!absl::StrContains(options.appearance, letter)) return kNoVariant;
-  const double sample = uniform() * 100;
+  const double sample = random->Uniform() * 100;
   int variant = 0;
   int cumulative = options.percentages[0];
   // Terminates: the percentages sum to 100 and the sample is smaller.
@@ -56,12 +56,12 @@ bool IsPossibleForLetter(const WorldOptions& options, char letter, Variant varia
 
 }  // namespace
 
-Variant DrawVariant(const WorldOptions& options, Material material, absl::FunctionRef<double()> uniform) {
-  return options.appearance.empty() ? kNoVariant : DrawForLetter(options, LetterOf(material), uniform);
+Variant DrawVariant(const WorldOptions& options, Material material, RandomStream* random) {
+  return options.appearance.empty() ? kNoVariant : DrawForLetter(options, LetterOf(material), random);
 }
 
-Variant DrawVariant(const WorldOptions& options, ObjectType type, absl::FunctionRef<double()> uniform) {
-  return options.appearance.empty() ? kNoVariant : DrawForLetter(options, LetterOf(type), uniform);
+Variant DrawVariant(const WorldOptions& options, ObjectType type, RandomStream* random) {
+  return options.appearance.empty() ? kNoVariant : DrawForLetter(options, LetterOf(type), random);
 }
 
 bool IsPossibleVariant(const WorldOptions& options, Material material, Variant variant) {

@@ -2,8 +2,6 @@
 
 #pragma once
 
-#include <absl/functional/function_ref.h>
-
 #include "envserver/world/options.h"
 #include "envserver/world/random_stream.h"
 #include "envserver/world/types.h"
@@ -11,12 +9,8 @@
 namespace craftfleet {
 
 // One draw where the setting's letters name the thing, else none and kNoVariant.
-Variant DrawVariant(const WorldOptions& options, Material material, absl::FunctionRef<double()> uniform);
-Variant DrawVariant(const WorldOptions& options, ObjectType type, absl::FunctionRef<double()> uniform);
-template <typename Thing>
-Variant DrawVariant(const WorldOptions& options, Thing thing, RandomStream* random) {
-  return DrawVariant(options, thing, [random] { return random->Uniform(); });
-}
+Variant DrawVariant(const WorldOptions& options, Material material, RandomStream* random);
+Variant DrawVariant(const WorldOptions& options, ObjectType type, RandomStream* random);
 
 // Whether the thing can have this variant (none included) under these settings.
 bool IsPossibleVariant(const WorldOptions& options, Material material, Variant variant);

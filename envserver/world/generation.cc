@@ -1,6 +1,5 @@
 #include "envserver/world/generation.h"
 
-#include <array>
 #include <cstdint>
 #include <utility>
 
@@ -15,61 +14,31 @@
 namespace craftfleet {
 namespace {
 
-// The stream's uniform draws, made many at a time. The stream itself must not be used until Finish().
-class Draws {
- public:
-  explicit Draws(RandomStream* stream) : stream_(stream) { Refill(); }
-
-  double Uniform() {
-    if (next_ == kBatch) Refill();
-    return values_[next_++];
-  }
-  // Takes from the stream just what was drawn.
-  void Finish() {
-    *stream_ = before_;
-    stream_->Skip(2 * next_);
-  }
-
- private:
-  static constexpr int kBatch = 312;  // those of the stream's block
-
-  void Refill() {
-    before_ = *stream_;
-    stream_->FillUniform(absl::MakeSpan(values_));
-    next_ = 0;
-  }
-
-  RandomStream* const stream_;
-  RandomStream before_;  // the batch
-  std::array<double, kBatch> values_;
-  int next_ = 0;
-};
-
-Material MountainMaterial(uint16_t traits, const NumberThresholds& numbers, Draws* draws) {
+Material MountainMaterial(uint16_t traits, const NumberThresholds& numbers, RandomStream* random) {
   if ((traits & (kCave | kTunnel)) != 0) return Material::kPath;
-  if ((traits & kCoalVein) != 0 && draws->Uniform() > numbers.coal) return Material::kCoal;
-  if ((traits & kIronVein) != 0 && draws->Uniform() > 0.75) return Material::kIron;
-  if ((traits & kHigh) != 0 && draws->Uniform() > 0.994) return Material::kDiamond;
+  if ((traits & kCoalVein) != 0 && random->Uniform() > numbers.coal) return Material::kCoal;
+  if ((traits & kIronVein) != 0 && random->Uniform() > 0.75) return Material::kIron;
+  if ((traits & kHigh) != 0 && random->Uniform() > 0.994) return Material::kDiamond;
   if ((traits & kLavaField) != 0) return Material::kLava;
   return Material::kStone;
 }
 
-Material DrawMaterial(uint16_t traits, const NumberThresholds& numbers, Draws* draws) {
+Material DrawMaterial(uint16_t traits, const NumberThresholds& numbers, RandomStream* random) {
   if ((traits & kStart) != 0) return Material::kGrass;
-  if ((traits & kMountain) != 0) return MountainMaterial(traits, numbers, draws);
+  if ((traits & kMountain) != 0) return MountainMaterial(traits, numbers, random);
   if ((traits & kSandy) != 0) return Material::kSand;
   if ((traits & kSea) != 0) return Material::kWater;
-  if ((traits & kForest) != 0 && draws->Uniform() > numbers.tree) return Material::kTree;
+  if ((traits & kForest) != 0 && random->Uniform() > numbers.tree) return Material::kTree;
   return Material::kGrass;
 }
 
 ObjectType DrawCreature(Material material, uint16_t traits, int squared_distance, const NumberThresholds& numbers,
-                        Draws* draws) {
-  if (squared_distance > 3 * 3 && material == Material::kGrass && draws->Uniform() > numbers.cow) {
+                        RandomStream* random) {
+  if (squared_distance > 3 * 3 && material == Material::kGrass && random->Uniform() > numbers.cow) {
     return ObjectType::kCow;
   }
-  if (squared_distance > 10 * 10 && draws->Uniform() > numbers.zombie) return ObjectType::kZombie;
-  if ((traits & kTunnel) != 0 && draws->Uniform() > numbers.skeleton) {
+  if (squared_distance > 10 * 10 && random->Uniform() > numbers.zombie) return ObjectType::kZombie;
+  if ((traits & kTunnel) != 0 && random->Uniform() > numbers.skeleton) {
     return ObjectType::kSkeleton;
   }
   return ObjectType::kNone;
@@ -82,15 +51,14 @@ void GenerateWorld(WorldState* state) {
   const SimplexNoise noise(state->random.Below((uint32_t{1} << 31) - 1));
   absl::FixedArray<uint16_t, 64 * 64> traits(board.width() * board.height());
   ComputeTraits(noise, board.width(), board.height(), board.object(0).position, absl::MakeSpan(traits));
-  Draws draws(&state->random);
   const WorldOptions& options = state->options;
   const bool has_variants = !options.appearance.empty();  // calling DrawVariant for each cell takes a tenth of a reset
   const auto variant_of = [&](auto thing) {
-    return has_variants ? DrawVariant(options, thing, [&] { return draws.Uniform(); }) : kNoVariant;
+    return has_variants ? DrawVariant(options, thing, &state->random) : kNoVariant;
   };
   const uint16_t* cell_traits = traits.data();
   board.SetMaterials([&] {
-    const Material material = DrawMaterial(*cell_traits++, options.numbers, &draws);
+    const Material material = DrawMaterial(*cell_traits++, options.numbers, &state->random);
     return std::make_pair(material, variant_of(material));
   });
   cell_traits = traits.data();
@@ -100,11 +68,11 @@ void GenerateWorld(WorldState* state) {
     for (int y = 0; y < board.height(); ++y, ++cell, ++cell_traits) {
       if (!kCreatureWalks.Contains(cell->material)) continue;
       const int squared_distance = (x - player.x) * (x - player.x) + (y - player.y) * (y - player.y);
-      const ObjectType creature = DrawCreature(cell->material, *cell_traits, squared_distance, options.numbers, &draws);
+      const ObjectType creature =
+          DrawCreature(cell->material, *cell_traits, squared_distance, options.numbers, &state->random);
       if (creature != ObjectType::kNone) AddCreature(creature, {x, y}, variant_of(creature), &board);
     }
   }
-  draws.Finish();
 }
 
 }  // namespace craftfleet

@@ -4,6 +4,7 @@
 #include <array>
 
 #include "envserver/world/appearance.h"
+#include "envserver/world/creatures.h"
 #include "envserver/world/rules.h"
 
 namespace craftfleet {
@@ -156,11 +157,7 @@ void Place(const PlaceRule& rule, Position target, WorldState* state) {
   if (!IsFree(state->board, target, rule.on) || !Has(player, rule.uses)) return;
   player.item(rule.uses.item) -= rule.uses.count;
   if (rule.becomes == Material::kNone) {
-    Object plant;
-    plant.type = ObjectType::kPlant;
-    plant.health = 1;
-    plant.position = target;
-    state->board.Add(plant);
+    state->board.Add(MakeObject(ObjectType::kPlant, target));
   } else {
     state->board.SetMaterial(target, rule.becomes, DrawVariant(state->options, rule.becomes, &state->random));
   }

@@ -26,14 +26,6 @@ CRAFTFLEET_KERNEL_BODY void TwistBody(uint32_t* words) {
 }
 CRAFTFLEET_KERNEL(Twist, TwistBody)
 
-// words[2 * count] to out[count].
-CRAFTFLEET_KERNEL_BODY void WordsToDoublesBody(const uint32_t* words, int count, double* out) {
-  uint32_t tempered[kWords];
-  for (int i = 0; i < 2 * count; ++i) tempered[i] = internal::Temper(words[i]);
-  for (int i = 0; i < count; ++i) out[i] = internal::ToDouble(tempered[2 * i], tempered[2 * i + 1]);
-}
-CRAFTFLEET_KERNEL(WordsToDoubles, WordsToDoublesBody)
-
 // words[2 * count] to high[count], tempered, and low[count].
 CRAFTFLEET_KERNEL_BODY void SplitWordsBody(const uint32_t* __restrict words, int count, uint32_t* __restrict high,
                                            uint32_t* __restrict low) {
@@ -62,20 +54,6 @@ void RandomStream::NextBlock() {
 void RandomStream::Skip(int64_t words) {
   for (; words > kStateWords - position_; NextBlock()) words -= kStateWords - position_;
   position_ += static_cast<int>(words);
-}
-
-void RandomStream::FillUniform(absl::Span<double> out) {
-  while (!out.empty()) {
-    const int count = std::min<int>((kStateWords - position_) / 2, out.size());
-    if (count == 0) {
-      out[0] = Uniform();  // the block is used up, or one word of it is left
-      out.remove_prefix(1);
-      continue;
-    }
-    WordsToDoubles(words_.data() + position_, count, out.data());
-    position_ += 2 * count;
-    out.remove_prefix(count);
-  }
 }
 
 void RandomStream::FillWords(absl::Span<uint32_t> high, absl::Span<uint32_t> low) {

@@ -40,8 +40,6 @@ class RandomStream {
   }
   // Draws `words` words (0 or more), two for each double, and drops them.
   void Skip(int64_t words);
-  // Fills `out` with what out.size() calls of Uniform() would give, in order, much faster.
-  void FillUniform(absl::Span<double> out);
   // Draws high.size() doubles as words: UniformOf(high[i], low[i]) is the double that call i of Uniform() would give.
   // For a caller that rarely needs all bits of a double. Equal sizes.
   void FillWords(absl::Span<uint32_t> high, absl::Span<uint32_t> low);

@@ -31,7 +31,8 @@ struct Player {
 };
 
 struct WorldState {
-  explicit WorldState(const WorldOptions& world_options);
+  explicit WorldState(const WorldOptions& world_options)
+      : options(world_options), board(world_options.width, world_options.height) {}
 
   WorldOptions options;  // constant after construction
   int64_t seed = 0;

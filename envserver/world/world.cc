@@ -87,12 +87,13 @@ StepOutcome World::Step(Action action) {
   if (outcome.unlocked != 0) outcome.reward += 1.0;
   state.last_health = health;
   state.episode_reward += outcome.reward;
-  if (health <= 0) {
-    outcome.end = StepEnd::kTerminated;
-  } else if (state.options.length > 0 && state.step >= state.options.length) {
-    outcome.end = StepEnd::kTruncated;
-  }
+  outcome.end = end();
   return outcome;
+}
+
+StepEnd World::end() const {
+  if (player().health() <= 0) return StepEnd::kTerminated;
+  return options().length > 0 && step() >= options().length ? StepEnd::kTruncated : StepEnd::kNone;
 }
 
 void World::SemanticView(absl::Span<uint8_t> out) const {

@@ -29,9 +29,9 @@ struct StepOutcome {
 };
 
 // A world is ready to play after Create(), at the beginning of an episode. After a step that ends the episode, call
-// Reset(). Further steps are allowed but the episode remains over. A picture drawn at night takes draws from random():
-// the caller renders exactly once after Create() and after each Reset() and Step(), as Crafter does. Thread-compatible:
-// one thread at a time. Source: RULES.md.
+// Reset(). Further steps are allowed; as in Crafter a dead player may then recover, and the episode goes on. A picture
+// drawn at night takes draws from random(): the caller renders exactly once after Create() and after each Reset() and
+// Step(), as Crafter does. Thread-compatible: one thread at a time. Source: RULES.md.
 class World {
  public:
   // `episode` (1 or more) is the first one played; earlier ones are not generated.
@@ -47,6 +47,7 @@ class World {
   int64_t episode() const { return state_.episode; }  // from 1
   int64_t step() const { return state_.step; }        // of this episode
   double daylight() const { return state_.daylight; }
+  StepEnd end() const;                                             // how the episode has ended so far
   double episode_reward() const { return state_.episode_reward; }  // sum over this episode
 
   // kNone outside the world.
@@ -62,7 +63,6 @@ class World {
 
   const Player& player() const { return state_.player; }
   Position player_position() const { return objects()[0].position; }
-  Position player_facing() const { return objects()[0].facing; }
 
   // uint8[width][height], y fastest: materials, overlaid with objects (player 13, cow 14, zombie 15, skeleton 16, arrow
   // 17, plant 18). `out` has width * height elements.

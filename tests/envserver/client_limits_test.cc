@@ -60,7 +60,7 @@ TEST_F(ClientLimits, AClientIsItsCertificate) {
   listen.files = files("server");
   Serve(listen);
   const auto client = [&](const std::string& name) {
-    return wire::Connect(server_->address(), *wire::ChannelSecurity::Create({files(name), "", ""}));
+    return wire::Connect(server_->address(), *wire::ChannelSecurity::Create({files(name), ""}));
   };
   const auto first = Play(client("one"));
   ASSERT_THAT(first, IsOk());

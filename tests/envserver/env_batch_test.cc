@@ -2,7 +2,6 @@
 
 #include <memory>
 #include <numeric>
-#include <optional>
 #include <string>
 #include <vector>
 
@@ -70,8 +69,8 @@ TEST(EnvBatch, OnlyNamedLanesAreStepped) {
 TEST(EnvBatch, ResumesWhereItPaused) {
   const auto renderer = MakeRenderer();
   for (const FrameFormat format : {FrameFormat::kRaw, FrameFormat::kScene}) {
-    EnvBatch whole(renderer, std::nullopt, format);
-    EnvBatch paused(renderer, std::nullopt, format);
+    EnvBatch whole(renderer, format);
+    EnvBatch paused(renderer, format);
     paused.PauseWhen([] { return true; });
     const std::vector<EnvBatch::OpenLane> lanes = {{3, 33, 1, ""}, {2, 22, 1, "no snapshot"}, {1, 11, 1, ""}};
     std::string whole_frames;
@@ -116,13 +115,13 @@ TEST(EnvBatch, CountsObjectsBeyondTheUsualOnesWhileTheirGamesAreOpen) {
 
 TEST(EnvBatch, ARestoredGameSendsARecordOfItsOwn) {
   const auto renderer = MakeRenderer();
-  EnvBatch first(renderer, std::nullopt, FrameFormat::kScene);
+  EnvBatch first(renderer, FrameFormat::kScene);
   std::string frames;
   ASSERT_THAT(first.Open({{0, 5, 1, ""}}, &frames), IsOk());
   StepBatch step;
   for (int i = 0; i < 160; ++i) ASSERT_THAT(first.Step({0}, {Action::kNoop}, i == 159, &step), IsOk());
-  EnvBatch second(renderer, std::nullopt, FrameFormat::kScene);
-  ASSERT_THAT(second.Open({{0, 5, 1, step.snapshots[0]}}, &frames), IsOk());
+  EnvBatch second(renderer, FrameFormat::kScene);
+  ASSERT_THAT(second.Open({{0, 5, 0, step.snapshots[0]}}, &frames), IsOk()) << "the episode of a snapshot is its own";
   EXPECT_TRUE(frames == step.frames);
   EXPECT_GT(frames.size(), 2496);  // it is night: the record has the stream
 }

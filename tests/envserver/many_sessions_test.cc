@@ -67,6 +67,8 @@ TEST(EnvService, AnIdleSessionGivesWayToOneThatNeedsItsRoom) {
     Session session(server->InProcess());
     return session.Send(Hello("run-a")).ok() && session.Send(Open(0, 1)).ok();
   }));
+  EXPECT_THAT(idle.Send(Open(0, 1)),
+              StatusIs(absl::StatusCode::kResourceExhausted, HasSubstr("this session sent nothing")));
 }
 
 // It has tables for them, and no game.

@@ -113,7 +113,7 @@ ordered_json TraceFields(const World& world) {
   fields["eseed"] = EpisodeSeed(world.seed(), world.episode());
   fields["n"] = world.step();
   fields["p"] = Pair(world.player_position());
-  fields["f"] = Pair(world.player_facing());
+  fields["f"] = Pair(world.objects()[0].facing);
   fields["z"] = player.sleeping ? 1 : 0;
   fields["inv"] = player.inventory;
   fields["ach"] = player.achievements;

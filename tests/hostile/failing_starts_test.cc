@@ -85,5 +85,19 @@ TEST_F(FailingStartsTest, ANewRunThatCannotStartLeavesNoRun) {
   Train("run");
 }
 
+// Its games could not be drawn: it waited for them for ever, or for those of its evaluation after all its steps.
+TEST_F(FailingStartsTest, TexturesWithoutAVariantThatTheRunShowsAreRefused) {
+  const std::string textures = OtherTextures();
+  std::filesystem::remove(textures + "/tree0.png");
+  for (const std::string flag : {"--env", "--eval_env"}) {
+    const Ended ended =
+        Run("craftfleet train", Flags("other", {flag + "=crafter:appearance=25/25/25/25", "--textures=" + textures}));
+    EXPECT_EQ(ended.exit_code, 1);
+    EXPECT_THAT(ended.err,
+                HasSubstr("environment crafter:appearance=25/25/25/25: no texture " + textures + "/tree0.png"));
+    EXPECT_FALSE(std::filesystem::exists(Logdir("other") + "/config.txt"));
+  }
+}
+
 }  // namespace
 }  // namespace craftfleet

@@ -97,7 +97,7 @@ void Stage(const json& row, World* world) {
 
 std::string NextDraws(RandomStream stream) {
   double draws[8];
-  stream.FillUniform(absl::MakeSpan(draws));
+  for (double& draw : draws) draw = stream.Uniform();
   return CrcText(absl::string_view(reinterpret_cast<const char*>(draws), sizeof(draws)));
 }
 

@@ -13,7 +13,6 @@
 #include "common/io/files.h"
 #include "common/io/paths.h"
 #include "common/io/texture_digest.h"
-#include "envserver/render/built_in_textures.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
 #include "tests/fakes/test_paths.h"

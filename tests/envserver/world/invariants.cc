@@ -19,7 +19,7 @@ std::string BrokenPlayer(const World& world) {
     const int amount = player.item(static_cast<Item>(i));
     if (amount < 0 || amount > kMaxItem) return absl::StrCat(kItemNames[i], " is ", amount);
   }
-  const Position facing = world.player_facing();
+  const Position facing = world.objects()[0].facing;
   if (std::abs(facing.x) + std::abs(facing.y) != 1) return "the player faces nowhere";
   if (world.objects()[0].type != ObjectType::kPlayer) return "the first object is not the player";
   const auto in = [](double value, double low, double high) { return value >= low && value <= high; };

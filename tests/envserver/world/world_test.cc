@@ -51,7 +51,7 @@ TEST(World, FirstEpisodeStartsInTheMiddle) {
   EXPECT_EQ(world.episode(), 1);
   EXPECT_EQ(world.step(), 0);
   EXPECT_EQ(world.player_position(), (Position{32, 32}));
-  EXPECT_EQ(world.player_facing(), (Position{0, 1}));
+  EXPECT_EQ(world.objects()[0].facing, (Position{0, 1}));
   EXPECT_EQ(world.material({32, 32}), Material::kGrass);
   EXPECT_EQ(world.material({-1, 0}), Material::kNone);
   EXPECT_EQ(world.material({0, 64}), Material::kNone);

@@ -1,4 +1,4 @@
-#include "envserver/moment_taker.h"
+// Moments of games that are recorded.
 
 #include <memory>
 #include <string>
@@ -29,7 +29,8 @@ Action ActionAt(int step) {
 TEST(Recording, DoesNotChangeTheGame) {
   const auto renderer = MakeRenderer(260);
   EnvBatch plain(renderer);
-  EnvBatch recorded(renderer, MomentTaker(MakeRenderer(260, kPictureSize)));
+  EnvBatch recorded(renderer);
+  recorded.Record(MakeRenderer(260, kPictureSize));
   std::string frames;
   std::string recorded_frames;
   ASSERT_THAT(plain.Open({{0, 7, 1, ""}}, &frames), IsOk());
@@ -61,7 +62,8 @@ TEST(Recording, HasEachMomentOfAnEpisodeUpToItsLast) {
   constexpr int kLength = 40;
   const auto renderer = MakeRenderer(kLength);
   PlayedGame played(renderer, 7);  // with Crafter's own step
-  EnvBatch batch(renderer, MomentTaker(MakeRenderer(kLength, kPictureSize)));
+  EnvBatch batch(renderer);
+  batch.Record(MakeRenderer(kLength, kPictureSize));
   std::string frames;
   StepBatch step;
   ASSERT_THAT(batch.Open({{3, 7, 1, ""}}, &frames), IsOk());
@@ -94,7 +96,8 @@ TEST(Recording, HasEachMomentOfAnEpisodeUpToItsLast) {
 TEST(Recording, HasTheFrameOfADeath) {
   const auto renderer = MakeRenderer();
   PlayedGame played(renderer, 7);
-  EnvBatch batch(renderer, MomentTaker(nullptr));
+  EnvBatch batch(renderer);
+  batch.Record(nullptr);
   std::string frames;
   StepBatch step;
   ASSERT_THAT(batch.Open({{0, 7, 1, ""}}, &frames), IsOk());
@@ -111,7 +114,8 @@ TEST(Recording, HasTheFrameOfADeath) {
 
 TEST(Recording, TooManyLargePicturesAreRefused) {
   const auto renderer = MakeRenderer(100);
-  EnvBatch batch(renderer, MomentTaker(MakeRenderer(100, 1024)));
+  EnvBatch batch(renderer);
+  batch.Record(MakeRenderer(100, 1024));
   std::string frames;
   std::vector<EnvBatch::OpenLane> many(22);
   for (int lane = 0; lane < 22; ++lane) many[lane].lane = lane;
