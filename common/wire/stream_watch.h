@@ -3,11 +3,8 @@
 #pragma once
 
 #include <atomic>
-#include <cstdint>
 #include <map>
-#include <memory>
 #include <string>
-#include <thread>
 
 #include <absl/status/status.h>
 #include <absl/strings/string_view.h>
@@ -15,13 +12,13 @@
 #include <grpcpp/server_context.h>
 
 #include "common/base/mutex.h"
+#include "common/base/watchdog.h"
 
 namespace craftfleet::wire {
 
 // Keepalive ends connections to dead peers, but a live peer could hold a stream, and the memory and thread that serve
 // it, for ever. Each stream states what it waits for and how long; a late one is cancelled with a status that contains
-// the reason. Also limits the number of streams of each client. Thread-safe; has a thread of its own while there are
-// streams.
+// the reason. Also limits the number of streams of each client. Thread-safe.
 class StreamWatch {
  public:
   static constexpr int kMaxPerClient = 2048;                       // half of the calls that a server serves at once
@@ -29,7 +26,6 @@ class StreamWatch {
   static constexpr absl::Duration kTakesReply = absl::Minutes(1);  // for the client to receive a message
 
   explicit StreamWatch(int max_per_client = kMaxPerClient) : max_per_client_(max_per_client) {}
-  ~StreamWatch();
 
   // One stream while it is served. Used by one thread at a time.
   class Stream {
@@ -46,37 +42,27 @@ class StreamWatch {
     // Await or Work. `what` is a string literal and names the flag that sets the limit, if there is one.
     void Await(const char* what, absl::Duration limit);
     // Ends the limit: the server is working.
-    void Work() { deadline_ns_ = 0; }
+    void Work() { timer_.Disarm(); }
     // DeadlineExceeded, also sent to the client: it was late. OK otherwise.
-    absl::Status late() const ABSL_LOCKS_EXCLUDED(watch_->mu_);
+    absl::Status late() const { return is_late_ ? absl::DeadlineExceededError(LateMessage()) : absl::OkStatus(); }
 
    private:
-    friend class StreamWatch;
     std::string LateMessage() const;
 
     StreamWatch* const watch_;
     grpc_call* const call_;  // holds a reference; null for a context without a server, as in fuzz targets
     const std::string client_;
     absl::Status admitted_;
-    std::atomic<int64_t> deadline_ns_{0};  // of the steady clock; 0: none
-    std::atomic<int64_t> limit_ns_{0};
-    std::atomic<const char*> what_{""};
+    const char* what_ = "";  // like limit_, changed only while the timer, which reads both, is not armed
+    absl::Duration limit_;
+    std::atomic<bool> is_late_{false};
+    Watchdog::Timer timer_;  // the last member: it cancels call_
   };
 
-  int size() const ABSL_LOCKS_EXCLUDED(mu_);
-
  private:
-  void Run() ABSL_LOCKS_EXCLUDED(mu_);
-  void CancelLate() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
-
   const int max_per_client_;
-  mutable Mutex mu_;
-  CondVar changed_;
-  std::map<const Stream*, bool> streams_ ABSL_GUARDED_BY(mu_);  // whether it was late and is cancelled
+  Mutex mu_;
   std::map<std::string, int> per_client_ ABSL_GUARDED_BY(mu_);
-  bool stopping_ ABSL_GUARDED_BY(mu_) = false;
-  bool started_ ABSL_GUARDED_BY(mu_) = false;
-  std::thread thread_;
 };
 
 // gRPC's name of a peer ("ipv4:10.0.0.7:4711") without its port: "ipv4:10.0.0.7". All peers of unix sockets are one.
