@@ -1,8 +1,9 @@
-#include "common/wire/channel_flags.h"
-
 #include <string>
 
 #include <absl/flags/flag.h>
+
+#include "common/base/status_macros.h"
+#include "common/wire/wire_flags.h"
 
 ABSL_FLAG(std::string, tls_cert, "",
           "PEM file with the certificate (chain) of this process; requires --tls_key.\n"
@@ -10,10 +11,9 @@ ABSL_FLAG(std::string, tls_cert, "",
 ABSL_FLAG(std::string, tls_key, "", "PEM file with the private key of --tls_cert");
 ABSL_FLAG(std::string, tls_ca, "",
           "PEM file with the authority that must have signed the certificates of peers; connections use TLS then.\n"
-          "A process that listens with --tls_cert requires a certificate from each client");
+          "A process that listens with --tls_cert requires it, and a certificate from each client");
 ABSL_FLAG(std::string, tls_server_name, "",
           "name that the certificates of servers must have [the host of their address]");
-ABSL_FLAG(std::string, token_file, "", "file with a token to send to servers; requires --tls_ca");
 
 namespace craftfleet::wire {
 
@@ -22,8 +22,15 @@ TlsFiles TlsFilesFromFlags() {
 }
 
 absl::StatusOr<ChannelSecurity> ChannelSecurityFromFlags() {
-  return ChannelSecurity::Create(
-      {TlsFilesFromFlags(), absl::GetFlag(FLAGS_tls_server_name), absl::GetFlag(FLAGS_token_file)});
+  return ChannelSecurity::Create({TlsFilesFromFlags(), absl::GetFlag(FLAGS_tls_server_name)});
+}
+
+absl::StatusOr<Endpoint> ConnectToProcess(absl::string_view who, absl::string_view address) {
+  CRAFTFLEET_RETURN_IF_ERROR(CheckAddress("address", address));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const ChannelSecurity security, ChannelSecurityFromFlags());
+  Endpoint process = Connect(address, security);
+  CRAFTFLEET_RETURN_IF_ERROR(WaitUntilConnected(who, process, absl::Seconds(3)));
+  return process;
 }
 
 }  // namespace craftfleet::wire

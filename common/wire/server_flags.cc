@@ -1,14 +1,11 @@
-#include "common/wire/server_flags.h"
-
 #include <cstdint>
 #include <string>
 
 #include <absl/flags/flag.h>
 
-#include "common/wire/channel_flags.h"
+#include "common/wire/wire_flags.h"
 
 ABSL_FLAG(bool, insecure, false, "allow --listen beyond this host without TLS");
-ABSL_FLAG(bool, tls_client_certs, true, "with --tls_cert and --tls_ca: require a certificate from each client");
 ABSL_FLAG(std::string, access_file, "",
           "file with the rights of clients (watch, play, serve, steer), in protobuf text format (access.proto);\n"
           "requires --tls_cert; read again when it changes [an authenticated client has all rights]");
@@ -22,7 +19,6 @@ Server::Options ServerOptionsFromFlags(absl::string_view address) {
   options.address = std::string(address);
   options.insecure = absl::GetFlag(FLAGS_insecure);
   options.files = TlsFilesFromFlags();
-  options.ask_clients = absl::GetFlag(FLAGS_tls_client_certs);
   options.access_file = absl::GetFlag(FLAGS_access_file);
   options.max_buffered_mb = absl::GetFlag(FLAGS_max_buffered_mb);
   return options;

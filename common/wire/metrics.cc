@@ -1,15 +1,21 @@
-#include "common/wire/prometheus_metrics.h"
+#include "common/wire/metrics.h"
+
+#include <prometheus/text_serializer.h>
 
 #include <map>
-#include <string>
 #include <utility>
 
-#include <absl/strings/string_view.h>
+#include <absl/strings/match.h>
+#include <absl/strings/str_cat.h>
+#include <absl/strings/str_format.h>
 
 #include "common/base/check.h"
+#include "common/base/status_macros.h"
+#include "common/base/status_prefix.h"
 #include "common/telemetry/activity_meter.h"
+#include "common/telemetry/log.h"
 #include "common/telemetry/metric_table.h"
-#include "common/wire/status_service.h"
+#include "common/wire/channel.h"
 
 namespace craftfleet::wire {
 namespace {
@@ -17,6 +23,9 @@ namespace {
 using prometheus::ClientMetric;
 using prometheus::MetricFamily;
 using prometheus::MetricType;
+
+constexpr char kPath[] = "/metrics";
+constexpr char kContentType[] = "text/plain; version=0.0.4; charset=utf-8";
 
 // Collects samples into families, in the order in which metrics first appear.
 class Families {
@@ -59,7 +68,10 @@ void AddFleet(const v1::StatusReply& status, Families* families) {
     const std::string name(part);
     families->Add("fleet_bottleneck", status.fleet().bottleneck() == name ? 1 : 0, {{"part", name}});
   }
-  std::map<std::pair<std::string, v1::Peer::Health>, int> workers = WorkersOf(status);
+  std::map<std::pair<std::string, v1::Peer::Health>, int> workers;
+  for (const v1::WorkerCount& count : status.fleet().workers()) {
+    workers[{count.role(), count.health()}] += count.number();
+  }
   for (const char* worker : {"actor", "envserver"}) {
     families->Add("workers", workers[{worker, v1::Peer::OK}], {{"worker", worker}, {"state", "ok"}});
     families->Add("workers", workers[{worker, v1::Peer::LOST}], {{"worker", worker}, {"state", "lost"}});
@@ -70,6 +82,41 @@ void AddFleet(const v1::StatusReply& status, Families* families) {
 }
 
 }  // namespace
+
+absl::Status CheckMetricsAddress(absl::string_view address, bool insecure) {
+  if (address.empty()) return absl::OkStatus();
+  CRAFTFLEET_RETURN_IF_ERROR(CheckAddress("metrics_listen", address));
+  if (absl::StartsWith(address, kUnix)) {
+    return absl::InvalidArgumentError(absl::StrFormat("--metrics_listen=%s, want HOST:PORT", address));
+  }
+  if (!insecure && !IsLoopback(address)) {
+    return absl::InvalidArgumentError(
+        absl::StrFormat("--metrics_listen=%s reaches beyond this host, where anyone could read the metrics, which are "
+                        "plain HTTP: listen on 127.0.0.1, or add --metrics_insecure if the network is trusted",
+                        address));
+  }
+  return absl::OkStatus();
+}
+
+absl::StatusOr<std::unique_ptr<HttpServer>> ServeMetrics(const std::string& address, StatusServiceImpl* status,
+                                                         std::function<bool()> serving) {
+  if (address.empty()) return nullptr;
+  const auto respond = [status,
+                        serving = std::move(serving)](const HttpServer::Request& request) -> HttpServer::Response {
+    if (request.path() == kPath) {
+      return {200, kContentType, prometheus::TextSerializer().Serialize(ToMetricFamilies(status->Snapshot()))};
+    }
+    if (request.path() != "/healthz") return {404, kContentType, "metrics are at /metrics, health at /healthz\n"};
+    if (serving()) return {200, kContentType, "serving\n"};
+    return {503, kContentType, "not serving\n"};
+  };
+  CRAFTFLEET_ASSIGN_OR_RETURN(std::unique_ptr<HttpServer> server,
+                              WithPrefix("--metrics_listen", HttpServer::Create({address}, respond)));
+  const std::string url = absl::StrCat("http://", server->address(), kPath);
+  status->SetMetricsAddress(url);
+  LogInfo("metrics on %s", url);
+  return server;
+}
 
 std::vector<MetricFamily> ToMetricFamilies(const v1::StatusReply& status) {
   Families families(status.role());

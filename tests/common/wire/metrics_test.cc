@@ -1,4 +1,4 @@
-#include "common/wire/prometheus_metrics.h"
+#include "common/wire/metrics.h"
 
 #include <prometheus/text_serializer.h>
 
@@ -56,8 +56,10 @@ TEST(ToMetricFamilies, WorkersAreCountedByRoleAndState) {
   status.mutable_fleet()->set_bottleneck("wire");
   for (const v1::Peer::Health health :
        {v1::Peer::OK, v1::Peer::OK, v1::Peer::LOST, v1::Peer::LEFT, v1::Peer::NOT_ANSWERING}) {
-    status.add_peers()->set_role("actor");
-    status.mutable_peers()->rbegin()->set_health(health);
+    v1::WorkerCount* const count = status.mutable_fleet()->add_workers();
+    count->set_role("actor");
+    count->set_health(health);
+    count->set_number(1);
   }
   const std::string text = Text(status);
   EXPECT_THAT(text,
