@@ -1,11 +1,8 @@
 #include "common/wire/status_service.h"
 
-#include <algorithm>
 #include <optional>
 #include <utility>
 
-#include <absl/strings/str_cat.h>
-#include <absl/time/clock.h>
 #include <google/protobuf/util/json_util.h>
 
 #include "common/base/check.h"
@@ -17,19 +14,9 @@
 #include "common/telemetry/log.h"
 #include "common/telemetry/metric_table.h"
 #include "common/telemetry/process_usage.h"
-#include "common/wire/grpc_status.h"
 #include "common/wire/request_check.h"
 
 namespace craftfleet::wire {
-namespace {
-
-constexpr absl::Duration kCheckCancelEvery = absl::Milliseconds(100);
-constexpr absl::Duration kTakesStatus = absl::Seconds(10);  // for a watcher, since few are admitted
-constexpr int kDefaultIntervalMs = 1000;
-constexpr int kMinIntervalMs = 100;
-constexpr int kMaxIntervalMs = 60000;
-
-}  // namespace
 
 StatusServiceImpl::StatusServiceImpl(absl::string_view role, Fill fill)
     : role_(role), name_(UniqueWorkerName()), fill_(std::move(fill)), start_(SteadyNow()) {}
@@ -73,45 +60,6 @@ grpc::Status StatusServiceImpl::GetStatus(grpc::ServerContext* /*context*/, cons
                                           v1::StatusReply* reply) {
   *reply = Snapshot();
   return grpc::Status::OK;
-}
-
-grpc::Status StatusServiceImpl::WatchStatus(grpc::ServerContext* context, const v1::WatchRequest* request,
-                                            grpc::ServerWriter<v1::StatusReply>* writer) {
-  const int interval_ms = request->interval_ms() == 0 ? kDefaultIntervalMs : request->interval_ms();
-  if (interval_ms < kMinIntervalMs || interval_ms > kMaxIntervalMs) {
-    return {grpc::StatusCode::INVALID_ARGUMENT,
-            absl::StrCat("interval_ms ", interval_ms, ", want ", kMinIntervalMs, "..", kMaxIntervalMs)};
-  }
-  StreamWatch::Stream stream(&streams_, context);
-  if (!stream.admitted().ok()) return ToGrpc(stream.admitted());
-  {
-    const MutexLock lock(&mu_);
-    if (watchers_ >= kMaxWatchers) {
-      return {grpc::StatusCode::RESOURCE_EXHAUSTED,
-              absl::StrCat(watchers_, " clients are already watching: end one of them, or ask for single snapshots")};
-    }
-    ++watchers_;
-  }
-  bool goes_on = true;
-  while (goes_on) {
-    const v1::StatusReply reply = Snapshot();
-    stream.Await("a status to be taken", kTakesStatus);
-    goes_on = writer->Write(reply);
-    stream.Work();
-    goes_on = goes_on && WaitForNext(context, absl::Milliseconds(interval_ms));
-  }
-  const MutexLock lock(&mu_);
-  --watchers_;
-  return grpc::Status::OK;
-}
-
-bool StatusServiceImpl::WaitForNext(grpc::ServerContext* context, absl::Duration interval) {
-  for (const absl::Time next = SteadyNow() + interval; !context->IsCancelled();) {
-    const absl::Duration left = next - SteadyNow();
-    if (left <= absl::ZeroDuration()) return true;
-    absl::SleepFor(std::min(left, kCheckCancelEvery));  // gRPC does not notify of a cancelled call
-  }
-  return false;
 }
 
 absl::StatusOr<std::string> StatusJson(const v1::StatusReply& reply, bool whitespace) {
@@ -162,16 +110,6 @@ void FillWork(const Work& total, const Work& recent, int threads, v1::ProcessSum
     time->set_seconds(total.times[activity]);
     time->set_share(shares[activity]);
   }
-}
-
-std::map<std::pair<std::string, v1::Peer::Health>, int> WorkersOf(const v1::StatusReply& reply) {
-  std::map<std::pair<std::string, v1::Peer::Health>, int> workers;
-  for (const v1::WorkerCount& count : reply.fleet().workers()) {
-    workers[{count.role(), count.health()}] += count.number();
-  }
-  if (!workers.empty()) return workers;
-  for (const v1::Peer& peer : reply.peers()) ++workers[{peer.role(), peer.health()}];  // of an older learner
-  return workers;
 }
 
 ByActivity TimesOf(const v1::ProcessSummary& summary) {

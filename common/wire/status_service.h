@@ -3,9 +3,7 @@
 #pragma once
 
 #include <functional>
-#include <map>
 #include <string>
-#include <utility>
 
 #include <absl/status/statusor.h>
 #include <absl/strings/string_view.h>
@@ -13,17 +11,15 @@
 
 #include "common/base/mutex.h"
 #include "common/telemetry/activity_meter.h"
-#include "common/wire/stream_watch.h"
 #include "craftfleet/v1/status.grpc.pb.h"
 
 namespace craftfleet::wire {
 
-// The status of a process, on request or as a stream. Thread-safe if `fill` is.
+// The status of a process. Thread-safe if `fill` is.
 class StatusServiceImpl final : public v1::StatusService::Service {
  public:
   // Fills in the fields that differ between programs, the summary above all.
   using Fill = std::function<void(v1::StatusReply*)>;
-  static constexpr int kMaxWatchers = 32;
 
   StatusServiceImpl(absl::string_view role, Fill fill);
 
@@ -36,22 +32,15 @@ class StatusServiceImpl final : public v1::StatusService::Service {
 
   grpc::Status GetStatus(grpc::ServerContext* context, const v1::StatusRequest* request,
                          v1::StatusReply* reply) override;
-  grpc::Status WatchStatus(grpc::ServerContext* context, const v1::WatchRequest* request,
-                           grpc::ServerWriter<v1::StatusReply>* writer) override;
 
  private:
-  // Waits `interval`. Returns false if the client has disconnected or the server stops.
-  bool WaitForNext(grpc::ServerContext* context, absl::Duration interval);
-
   const std::string role_;
   const std::string name_;
   const Fill fill_;
   const absl::Time start_;
 
   mutable Mutex mu_;
-  int watchers_ ABSL_GUARDED_BY(mu_) = 0;
   std::string metrics_address_ ABSL_GUARDED_BY(mu_);
-  StreamWatch streams_;
 };
 
 // `reply` as JSON with every field, named as in status.proto; with `whitespace` on many lines.
@@ -65,9 +54,6 @@ void FillUsage(v1::ProcessSummary* summary);
 
 // Fills in rate, threads and times of a process: `total` work since the start, `recent` work, by `threads` threads.
 void FillWork(const Work& total, const Work& recent, int threads, v1::ProcessSummary* summary);
-
-// The number of workers by role and health in the status of a learner.
-std::map<std::pair<std::string, v1::Peer::Health>, int> WorkersOf(const v1::StatusReply& reply);
 
 // The process's time by activity within one second, summed over its threads.
 ByActivity TimesOf(const v1::ProcessSummary& summary);

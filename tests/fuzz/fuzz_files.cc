@@ -108,7 +108,7 @@ void TryInput(absl::string_view input) {
   checkpoint.state.clear_pending();  // this checkpoint lacks the weights of pending evaluations
   CRAFTFLEET_CHECK(WriteCheckpointFiles(folder, checkpoint).ok());
   if (!state_changes) CRAFTFLEET_CHECK(WriteFileSynced(JoinPath(folder, "MANIFEST"), rest).ok());
-  const auto loaded = LoadCheckpoint(folder, "");
+  const auto loaded = LoadCheckpoint(folder);
   if (!loaded.ok()) return;
   CRAFTFLEET_CHECK(ValidateRunConfig(loaded->state.config()).ok());
   CRAFTFLEET_CHECK(loaded->state.lanes_size() == loaded->state.config().lanes());

@@ -174,7 +174,7 @@ void TryInput(absl::string_view input) {
     if (!reply.ParseFromArray(bytes.data(), static_cast<int>(bytes.size()))) return;
     const auto moments = wire::MomentsFromProto(&reply, kLanes, kFrameBytes, kPictureBytes);
     CRAFTFLEET_CHECK(!moments.ok() || moments->size() == kLanes);
-    if (!wire::FromProto(&reply, kLanes, kFrameBytes, &batch).ok()) return;
+    if (!wire::FromProto(&reply, kLanes, kFrameBytes, wire::kMaxEpisodeLength, &batch).ok()) return;
     CRAFTFLEET_CHECK(batch.rewards.size() == kLanes && batch.ends.size() == kLanes);
     CRAFTFLEET_CHECK(batch.frames.size() == kLanes * kFrameBytes && batch.last_frames.size() % kFrameBytes == 0);
   } else {
@@ -201,7 +201,7 @@ const FuzzTarget kTarget("learner_replies", TryInput, SoundInputs);
 
 }  // namespace learner_replies
 
-// Other requests to a learner: weights, a stream of its status, draining a worker. The first byte selects the call,
+// Other requests to a learner: weights, its status, draining a worker. The first byte selects the call,
 // which goes over real gRPC in process.
 namespace watch_and_steer {
 
@@ -237,7 +237,7 @@ bool Parse(absl::string_view bytes, Request* request) {
 
 void Download(absl::string_view bytes) {
   v1::WeightsRequest request;
-  if (!Parse(bytes, &request) || request.wait_ms() > 1) return;  // a longer wait only slows the search
+  if (!Parse(bytes, &request)) return;
   grpc::ClientContext context;
   const auto stream = v1::LearnerService::NewStub(TheLearner()->channel)->GetWeights(&context, request);
   v1::WeightsChunk chunk;
@@ -247,14 +247,12 @@ void Download(absl::string_view bytes) {
   CRAFTFLEET_CHECK(!ok || weights == (request.evaluation() == 0 ? kWeights : "old weights"));
 }
 
-void Watch(absl::string_view bytes) {
-  v1::WatchRequest request;
+void GetStatus(absl::string_view bytes) {
+  v1::StatusRequest request;
   if (!Parse(bytes, &request)) return;
   grpc::ClientContext context;
-  const auto stream = v1::StatusService::NewStub(TheLearner()->channel)->WatchStatus(&context, request);
   v1::StatusReply reply;
-  if (stream->Read(&reply)) context.TryCancel();
-  CRAFTFLEET_CHECK(!stream->Finish().ok());  // cancelled, or refused
+  CRAFTFLEET_CHECK(v1::StatusService::NewStub(TheLearner()->channel)->GetStatus(&context, request, &reply).ok());
 }
 
 // The only worker holds no permits, so it is drained at once.
@@ -276,7 +274,7 @@ void TryInput(absl::string_view input) {
     case 0:
       return Download(bytes);
     case 1:
-      return Watch(bytes);
+      return GetStatus(bytes);
     default:
       return Drain(bytes);
   }
@@ -287,12 +285,10 @@ std::vector<std::string> SoundInputs() {
   weights.set_at_least(kVersion);
   v1::WeightsRequest of_evaluation;
   of_evaluation.set_evaluation(1);
-  v1::WatchRequest watch;
-  watch.set_interval_ms(100);
   v1::DrainRequest drain;
   drain.set_worker("a");
   return {'\0' + weights.SerializeAsString(), '\0' + of_evaluation.SerializeAsString(),
-          '\1' + watch.SerializeAsString(), '\2' + drain.SerializeAsString()};
+          '\1' + v1::StatusRequest().SerializeAsString(), '\2' + drain.SerializeAsString()};
 }
 
 const FuzzTarget kTarget("watch_and_steer", TryInput, SoundInputs);

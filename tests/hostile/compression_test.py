@@ -39,7 +39,7 @@ class Compression(server_case.ServerCase):
 
     def test_an_actor_inflates_nothing(self):
         actor = self.actor()
-        self.attack(actor, [messages.WATCH_STATUS])
+        self.attack(actor, [messages.GET_STATUS])
         self.assertTrue(self.healthy(actor.address))
 
 

@@ -7,7 +7,6 @@ from tests.fakes.python_case import SOURCE
 
 PLAY = "/craftfleet.v1.EnvironmentService/Play"
 GET_STATUS = "/craftfleet.v1.StatusService/GetStatus"
-WATCH_STATUS = "/craftfleet.v1.StatusService/WatchStatus"
 HEALTH = "/grpc.health.v1.Health/Check"
 REFLECTION = "/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo"
 LEARNER_PLAY = "/craftfleet.v1.LearnerService/Play"

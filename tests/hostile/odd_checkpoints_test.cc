@@ -30,7 +30,7 @@ class OddCheckpointsTest : public SmallRunTest {
  protected:
   // Changes the state in a checkpoint.
   static void Edit(const std::string& folder, const std::function<void(v1::CheckpointState*)>& change) {
-    auto checkpoint = LoadCheckpoint(folder, "");
+    auto checkpoint = LoadCheckpoint(folder);
     ASSERT_THAT(checkpoint, IsOk());
     change(&checkpoint->state);
     std::filesystem::remove_all(folder);
@@ -76,7 +76,7 @@ TEST_F(OddCheckpointsTest, ALaneWithAnInvalidSnapshotIsResetAndTheOthersAreUnaff
 // Actors would end at such weights one by one, and the learner wait for others for ever.
 TEST_F(OddCheckpointsTest, WeightsThatAreNotFiniteAreRefusedWithTheirCheckpoint) {
   CopyTrained("run");
-  auto checkpoint = LoadCheckpoint(Checkpoint("run", 3), "");
+  auto checkpoint = LoadCheckpoint(Checkpoint("run", 3));
   ASSERT_THAT(checkpoint, IsOk());
   std::string weights = *checkpoint->weights;
   weights.replace(weights.size() - 4, 4, std::string("\0\0\xc0\x7f", 4));  // NaN
