@@ -10,7 +10,7 @@
 #   --bin=DIR        folder of the programs; default: those of this checkout, installation or wheel, or else the folder in PATH
 #   --logdir=DIR     folder of the run; the workers' logs are appended to DIR/fleet/NAME.log
 #   LEARNER FLAG     any flag of craftfleet-learner (see its --help); --textures goes to the environment servers too,
-#                    --tls_cert, --tls_key, --tls_ca, --tls_server_name and --token_file to all workers
+#                    --tls_cert, --tls_key, --tls_ca and --tls_server_name to all workers
 # The exit code is the learner's, or 1 if no actor or no environment server is left. Where these left with 0, as at the end of a
 # run, the learner has 300 s to write its last checkpoint.
 
@@ -48,7 +48,7 @@ for argument in "$@"; do
       case "$argument" in
         --logdir=*) logdir=${argument#*=} ;;
         --textures=*) envserver_flags+=("$argument") ;;
-        --tls_cert=* | --tls_key=* | --tls_ca=* | --tls_server_name=* | --token_file=*) channel_flags+=("$argument") ;;
+        --tls_cert=* | --tls_key=* | --tls_ca=* | --tls_server_name=*) channel_flags+=("$argument") ;;
       esac
       ;;
     *) refuse "'$argument' is not a flag of the form --NAME=VALUE; see --help" ;;

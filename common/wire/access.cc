@@ -15,7 +15,6 @@
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
 #include <absl/strings/str_join.h>
-#include <absl/strings/strip.h>
 #include <grpcpp/security/auth_context.h>
 #include <grpcpp/security/auth_metadata_processor.h>
 #include <grpcpp/server_context.h>
@@ -31,7 +30,6 @@
 namespace craftfleet::wire {
 namespace {
 
-constexpr absl::string_view kBearer = "Bearer ";
 constexpr size_t kMaxLogged = 120;  // bytes of text from unknown clients
 
 struct ServiceRight {
@@ -45,39 +43,30 @@ constexpr ServiceRight kRights[] = {
 };
 constexpr absl::string_view kWantedRights = "want WATCH, PLAY, SERVE or STEER";
 
-bool FitsCertificate(const v1::AccessClient& client, const Caller& caller) {
-  return client.certificate().empty() ||
-         std::any_of(caller.certificate_names.begin(), caller.certificate_names.end(), [&](const std::string& name) {
-           return fnmatch(client.certificate().c_str(), name.c_str(), 0) == 0;
-         });
-}
-
 // `digest` is the digest of the caller's token; nullopt: it sent none.
-bool FitsToken(const v1::AccessClient& client, const std::optional<std::string>& digest) {
-  return client.token_sha256().empty() || digest == client.token_sha256();
-}
-
-std::optional<std::string> TokenDigest(const Caller& caller) {
-  return caller.token.has_value() ? std::make_optional(Sha256Hex(*caller.token)) : std::nullopt;
+bool Fits(const v1::AccessClient& client, const Caller& caller, const std::optional<std::string>& digest) {
+  if (client.certificate().empty()) return digest == client.token_sha256();
+  return std::any_of(caller.certificate_names.begin(), caller.certificate_names.end(), [&](const std::string& name) {
+    return fnmatch(client.certificate().c_str(), name.c_str(), 0) == 0;
+  });
 }
 
 std::string Escaped(absl::string_view text) { return absl::CHexEscape(text.substr(0, kMaxLogged)); }
 
-// "craftfleet-actor/host/12 (certificate actor-1, no token)".
+// "craftfleet-actor/host/12 (certificate actor-1)".
 std::string Describe(const Caller& caller) {
-  return absl::StrCat(Escaped(caller.program), " (",
-                      caller.certificate_names.empty()
-                          ? "no certificate"
-                          : absl::StrCat("certificate ", Escaped(absl::StrJoin(caller.certificate_names, ", "))),
-                      caller.token.has_value() ? ", a token)" : ", no token)");
+  const std::string names = Escaped(absl::StrJoin(caller.certificate_names, ", "));
+  return absl::StrCat(Escaped(caller.program), names.empty() ? " (no certificate" : " (certificate ", names,
+                      caller.token.has_value() ? ", a token)" : ")");
 }
 
 absl::Status CheckClient(const v1::AccessClient& client) {
   if (client.name().empty()) return absl::InvalidArgumentError("a client has no name; the log needs one");
-  if (client.certificate().empty() && client.token_sha256().empty()) {
+  if (client.certificate().empty() == client.token_sha256().empty()) {
     return absl::InvalidArgumentError(absl::StrFormat(
-        "client \"%s\" has neither certificate nor token_sha256; certificate: \"*\" stands for all certificates",
-        client.name()));
+        "client \"%s\" has %s, want certificate for a process (\"*\": any), token_sha256 for a reader of the live page",
+        client.name(),
+        client.certificate().empty() ? "neither certificate nor token_sha256" : "both certificate and token_sha256"));
   }
   const std::string& digest = client.token_sha256();
   const bool hexadecimal = std::all_of(digest.begin(), digest.end(), [](char c) { return absl::ascii_isxdigit(c); });
@@ -98,7 +87,7 @@ absl::Status CheckClient(const v1::AccessClient& client) {
   return absl::OkStatus();
 }
 
-// The caller's credentials from `metadata` and the certificate of `context`.
+// The caller, from `metadata` and the certificate of `context`.
 Caller MakeCaller(const std::multimap<grpc::string_ref, grpc::string_ref>& metadata, const grpc::AuthContext* context) {
   Caller caller;
   for (const char* property : {GRPC_X509_CN_PROPERTY_NAME, GRPC_X509_SAN_PROPERTY_NAME}) {
@@ -107,11 +96,8 @@ Caller MakeCaller(const std::multimap<grpc::string_ref, grpc::string_ref>& metad
       caller.certificate_names.emplace_back(name.data(), name.size());
     }
   }
-  for (const auto& [key, value] : metadata) {
-    absl::string_view text(value.data(), value.size());
-    if (key == "user-agent") caller.program = std::string(text);
-    if (key == "authorization" && absl::ConsumePrefix(&text, kBearer)) caller.token = std::string(text);
-  }
+  const auto agent = metadata.find("user-agent");
+  if (agent != metadata.end()) caller.program = std::string(agent->second.data(), agent->second.size());
   return caller;
 }
 
@@ -131,7 +117,6 @@ class AccessProcessor : public grpc::AuthMetadataProcessor {
     for (const auto& [key, value] : metadata) {
       if (key == ":path") path = absl::string_view(value.data(), value.size());
     }
-    // The token is not consumed: the handler may need it to identify the caller (Identify).
     return ToGrpc(access_->Check(MakeCaller(metadata, context), path));
   }
 
@@ -163,50 +148,30 @@ absl::StatusOr<v1::Access> ParseAccess(absl::string_view text, absl::string_view
 absl::Status CheckAccess(const v1::Access& access, const Caller& caller, absl::string_view path) {
   const v1::Right needed = RightFor(path);
   if (needed == v1::RIGHT_UNSPECIFIED) return absl::OkStatus();
-  const std::optional<std::string> digest = TokenDigest(caller);
+  std::optional<std::string> digest;
+  if (caller.token.has_value()) digest = Sha256Hex(*caller.token);
   std::vector<std::string> known;
-  bool token_known = false;
   for (const v1::AccessClient& client : access.client()) {
-    if (!FitsCertificate(client, caller) || !FitsToken(client, digest)) continue;
+    if (!Fits(client, caller, digest)) continue;
     known.push_back(client.name());
-    token_known |= !client.token_sha256().empty();
     if (std::find(client.right().begin(), client.right().end(), needed) != client.right().end()) {
       return absl::OkStatus();
     }
   }
-  const std::string right = absl::AsciiStrToLower(v1::Right_Name(needed));
-  if (caller.token.has_value() && !token_known) {
-    return absl::UnauthenticatedError(
-        absl::StrFormat("%s: its token is not in the access file, or not with this certificate", Describe(caller)));
-  }
   if (!known.empty()) {
     return absl::PermissionDeniedError(absl::StrFormat("%s: it is \"%s\" in the access file, without the right to %s",
-                                                       Describe(caller), absl::StrJoin(known, "\", \""), right));
+                                                       Describe(caller), absl::StrJoin(known, "\", \""),
+                                                       absl::AsciiStrToLower(v1::Right_Name(needed))));
+  }
+  if (caller.token.has_value()) {
+    return absl::UnauthenticatedError(absl::StrFormat("%s: its token is not in the access file", Describe(caller)));
   }
   if (caller.certificate_names.empty()) {
-    return absl::UnauthenticatedError(absl::StrFormat("%s: it sent no token", Describe(caller)));
+    return absl::UnauthenticatedError(
+        absl::StrFormat("%s: it sent neither a token nor a certificate with a name", Describe(caller)));
   }
   return absl::PermissionDeniedError(
-      absl::StrFormat("%s: the access file has no client with this certificate and no token", Describe(caller)));
-}
-
-std::string Identity(const v1::Access& access, const Caller& caller) {
-  const std::optional<std::string> digest = TokenDigest(caller);
-  // Of entries with its token: others may come and go, with patterns that its certificate also fits.
-  std::set<std::string> names;
-  for (const v1::AccessClient& client : access.client()) {
-    if (client.token_sha256().empty()) continue;
-    if (FitsCertificate(client, caller) && FitsToken(client, digest)) names.insert(client.name());
-  }
-  std::string identity;
-  if (!caller.certificate_names.empty()) {
-    const std::set<std::string> certificate(caller.certificate_names.begin(), caller.certificate_names.end());
-    absl::StrAppend(&identity, "certificate ", absl::StrJoin(certificate, ", "));
-  }
-  if (!names.empty()) {
-    absl::StrAppend(&identity, identity.empty() ? "" : "; ", "\"", absl::StrJoin(names, "\", \""), "\"");
-  }
-  return identity;
+      absl::StrFormat("%s: the access file has no client with this certificate", Describe(caller)));
 }
 
 absl::StatusOr<std::shared_ptr<AccessControl>> AccessControl::Create(const std::string& path) {
@@ -244,13 +209,11 @@ bool AccessControl::Allows(const Caller& caller, absl::string_view path) const {
   return CheckAccess(*snapshot_->Get(), caller, path).ok();
 }
 
-std::string AccessControl::Identify(const grpc::ServerContextBase& context) const {
-  return Identity(*snapshot_->Get(), CallerOf(context));
-}
-
-std::string Identify(const AccessControl* access, const grpc::ServerContextBase& context) {
-  if (access != nullptr) return access->Identify(context);
-  return Identity(v1::Access(), CallerOf(context));
+std::string Identify(const grpc::ServerContextBase& context) {
+  const Caller caller = CallerOf(context);
+  if (caller.certificate_names.empty()) return "";
+  const std::set<std::string> names(caller.certificate_names.begin(), caller.certificate_names.end());
+  return absl::StrCat("certificate ", absl::StrJoin(names, ", "));
 }
 
 std::shared_ptr<grpc::AuthMetadataProcessor> MakeAccessProcessor(std::shared_ptr<AccessControl> access) {

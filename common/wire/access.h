@@ -25,7 +25,7 @@ class ServerContextBase;
 
 namespace craftfleet::wire {
 
-// The credentials of a client's call.
+// The credentials of a client's call: a process of the fleet has a certificate, a reader of the live page a token.
 struct Caller {
   std::vector<std::string> certificate_names;  // common name and alternative names; empty: no certificate
   std::optional<std::string> token;
@@ -41,14 +41,9 @@ v1::Right RightFor(absl::string_view path);
 absl::StatusOr<v1::Access> ParseAccess(absl::string_view text, absl::string_view filename);
 
 // OK if `caller` may call `path`.
-//   Unauthenticated: none of its credentials is listed.   PermissionDenied: it is known, but lacks the right.
+//   Unauthenticated: its token is not listed, or it has no credentials.   PermissionDenied: others without the right.
 //   The message names the reason and the client; it is for the log, not for the caller.
 absl::Status CheckAccess(const v1::Access& access, const Caller& caller, absl::string_view path);
-
-// The identity of `caller`: the names in its certificate, and those of the clients of `access` that have its token. It
-// does not depend on the certificate or token itself, so that both can be renewed, nor on other clients of `access`.
-// Empty: the caller cannot be told apart from others.
-std::string Identity(const v1::Access& access, const Caller& caller);
 
 // Applies an access file, which may change while it is in use. If a new version has errors, they are logged and the
 // former one remains in effect. A thread of its own reads the file: no call waits for a slow disk. Thread-safe.
@@ -63,8 +58,6 @@ class AccessControl {
   absl::Status Check(const grpc::ServerContextBase& context, absl::string_view path) const;
   // Whether Check would return OK; logs nothing.
   bool Allows(const Caller& caller, absl::string_view path) const;
-  // Identity of the caller of `context`.
-  std::string Identify(const grpc::ServerContextBase& context) const;
 
  private:
   // The file's last good version. Shared with the thread that reads it.
@@ -94,9 +87,9 @@ class AccessControl {
   std::unique_ptr<FileWatch> watch_;
 };
 
-// Identity of the caller of `context`: as `access` identifies it or, if that is null, from its certificate alone.
-// Empty: the caller cannot be told apart from others.
-std::string Identify(const AccessControl* access, const grpc::ServerContextBase& context);
+// The identity of the caller of `context`: the names in its certificate, which stay when it is renewed. Empty: the
+// caller cannot be told apart from others.
+std::string Identify(const grpc::ServerContextBase& context);
 
 // Checks each call to a server with these credentials against `access`.
 std::shared_ptr<grpc::AuthMetadataProcessor> MakeAccessProcessor(std::shared_ptr<AccessControl> access);

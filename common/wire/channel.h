@@ -70,8 +70,7 @@ absl::Status CheckAddress(absl::string_view flag, absl::string_view address);
 // Whether `address`, which passes CheckAddress, is reachable from this host only.
 bool IsLoopback(absl::string_view address);
 
-// The error of a call to `endpoint`: "<who>: ...", with advice if it concerns TLS, tokens or rights. OK if `status`
-// is OK.
+// The error of a call to `endpoint`: "<who>: ...", with advice if it concerns TLS or rights. OK if `status` is OK.
 absl::Status FromCall(const grpc::Status& status, absl::string_view who, const Endpoint& endpoint);
 
 // Connects now. Unavailable, naming `who`, the address and the reason: refused, not trusted, or no answer within

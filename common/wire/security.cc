@@ -1,16 +1,21 @@
 #include "common/wire/security.h"
 
-#include <algorithm>
+#include <fcntl.h>
+#include <sys/mman.h>
+#include <unistd.h>
+
+#include <array>
 #include <cstddef>
 #include <map>
 #include <memory>
+#include <optional>
 #include <set>
+#include <thread>
 #include <utility>
+#include <vector>
 
-#include <absl/strings/ascii.h>
 #include <absl/strings/match.h>
 #include <absl/strings/str_cat.h>
-#include <absl/strings/str_format.h>
 #include <absl/time/clock.h>
 #include <grpcpp/security/credentials.h>
 #include <grpcpp/security/server_credentials.h>
@@ -19,11 +24,8 @@
 
 #include "common/base/mutex.h"
 #include "common/base/status_macros.h"
-#include "common/base/status_prefix.h"
-#include "common/io/files.h"
 #include "common/io/watched_file.h"
 #include "common/telemetry/log.h"
-#include "common/wire/certificate_copies.h"
 #include "common/wire/certificates.h"
 
 namespace craftfleet::wire {
@@ -32,12 +34,126 @@ namespace {
 using grpc::experimental::FileWatcherCertificateProvider;
 
 constexpr unsigned int kLookEverySeconds = 1;
-constexpr size_t kMaxTokenBytes = 4096;  // peers limit headers to 8 KiB
-constexpr absl::string_view kWanted = "want one line of printable characters, at most 4096";
+constexpr size_t kFiles = 3;
 
-// HTTP/2 cannot carry others: with such a token all calls would fail.
-bool IsToken(absl::string_view text) {
-  return !text.empty() && text.size() <= kMaxTokenBytes && std::all_of(text.begin(), text.end(), absl::ascii_isprint);
+using Paths = std::array<std::string, kFiles>;     // certificate, key, authorities; empty: none
+using Contents = std::array<std::string, kFiles>;  // of these
+
+absl::Status Check(const Paths& paths, const Contents& contents) {
+  if (!paths[0].empty()) CRAFTFLEET_RETURN_IF_ERROR(CheckKeyPair(paths[0], contents[0], paths[1], contents[1]));
+  return paths[2].empty() ? absl::OkStatus() : CheckAuthorities(paths[2], contents[2]);
+}
+
+// A descriptor of a new file in memory; -1: failed.
+int MakeFile(const std::string& contents) {
+  const int file = memfd_create("craftfleet-certificate", MFD_CLOEXEC);
+  if (file < 0) return -1;
+  for (size_t written = 0; written < contents.size();) {
+    const ssize_t count = write(file, contents.data() + written, contents.size() - written);
+    if (count <= 0) {
+      close(file);
+      return -1;
+    }
+    written += static_cast<size_t>(count);
+  }
+  return file;
+}
+
+// Thread-safe.
+class Copies {
+ public:
+  explicit Copies(Paths paths) : paths_(std::move(paths)) {
+    for (const std::string& path : paths_) files_.emplace_back(path);
+  }
+
+  // Whether the files could be read, are valid and were copied.
+  bool Begin() ABSL_LOCKS_EXCLUDED(mu_) {
+    const MutexLock lock(&mu_);
+    for (size_t i = 0; i < kFiles; ++i) {
+      if (paths_[i].empty()) continue;
+      std::optional<std::string> contents = files_[i].ReadIfChanged();
+      if (!contents.has_value()) return false;
+      contents_[i] = *std::move(contents);
+    }
+    if (!Check(paths_, contents_).ok()) return false;
+    for (size_t i = 0; i < kFiles; ++i) {
+      if (paths_[i].empty()) continue;
+      descriptors_[i] = MakeFile(contents_[i]);
+      copies_[i] = absl::StrCat("/proc/self/fd/", descriptors_[i]);
+      if (descriptors_[i] < 0 || access(copies_[i].c_str(), R_OK) != 0) return false;
+    }
+    return true;
+  }
+
+  // Of the copies. Constant after Begin.
+  TlsFiles files() const { return {copies_[0], copies_[1], copies_[2]}; }
+
+  // Copies the files if they have changed and are valid.
+  void Look() ABSL_LOCKS_EXCLUDED(mu_) {
+    const MutexLock lock(&mu_);
+    for (size_t i = 0; i < kFiles; ++i) {
+      if (paths_[i].empty()) continue;
+      std::optional<std::string> contents = files_[i].ReadIfChanged();
+      if (!contents.has_value() || *contents == contents_[i]) continue;
+      contents_[i] = *std::move(contents);
+      looks_ = 1;
+    }
+    if (looks_ == 0) return;
+    if (const absl::Status valid = Check(paths_, contents_); !valid.ok()) {
+      // Not at the first look, which may fall between the replacement of two files.
+      if (looks_++ == 2) LogError("%s; the former certificates remain in use", valid.message());
+      return;
+    }
+    looks_ = 0;
+    for (size_t i = 0; i < kFiles; ++i) {
+      if (!paths_[i].empty()) Replace(i);
+    }
+  }
+
+ private:
+  // At once: a reader gets the old file or the new one.
+  void Replace(size_t i) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) {
+    const int file = MakeFile(contents_[i]);
+    if (file < 0) return LogError("%s cannot be copied; the former certificates remain in use", paths_[i]);
+    dup3(file, descriptors_[i], O_CLOEXEC);
+    close(file);
+  }
+
+  const Paths paths_;
+  Paths copies_;
+  Mutex mu_;
+  std::vector<WatchedFile> files_ ABSL_GUARDED_BY(mu_);
+  Contents contents_ ABSL_GUARDED_BY(mu_);                                   // as last read
+  std::array<int, kFiles> descriptors_ ABSL_GUARDED_BY(mu_) = {-1, -1, -1};  // of the copies
+  int looks_ ABSL_GUARDED_BY(mu_) = 0;                                       // at contents that are not copied yet
+};
+
+// The paths of copies of `files` in this process' memory, of those files that are named. They follow the files within a
+// second, but only to contents that are valid together: gRPC's own watcher (1.51) aborts the process if it finds an
+// empty file, and refuses all connections while a certificate and its key do not fit. Other contents are logged. If the
+// files are not valid now, or the system has no files in memory, these are `files` themselves.
+//
+// A copy lives as long as the process, since nobody knows until when gRPC reads it. Thread-safe.
+TlsFiles CopiesInMemory(const TlsFiles& files) {
+  static auto* const mu = new Mutex;
+  static auto* const all = new std::map<Paths, Copies*>;
+  const Paths paths = {files.certificate, files.key, files.authorities};
+  const MutexLock lock(mu);
+  if (const auto found = all->find(paths); found != all->end()) {
+    found->second->Look();
+    return found->second->files();
+  }
+  auto made = std::make_unique<Copies>(paths);
+  if (!made->Begin()) return files;
+  Copies* const copies = made.release();
+  all->emplace(paths, copies);
+  std::thread([copies] {
+    while (true) {
+      absl::SleepFor(absl::Seconds(kLookEverySeconds));
+      copies->Look();
+    }
+  }).detach();
+  return copies->files();
 }
 
 std::shared_ptr<FileWatcherCertificateProvider> Watch(const TlsFiles& files) {
@@ -45,63 +161,6 @@ std::shared_ptr<FileWatcherCertificateProvider> Watch(const TlsFiles& files) {
   return std::make_shared<FileWatcherCertificateProvider>(copies.key, copies.certificate, copies.authorities,
                                                           kLookEverySeconds);
 }
-
-// The current token of a token file. Shared by the calls and the thread that reads the file. Thread-safe.
-class Token {
- public:
-  std::string Get() const ABSL_LOCKS_EXCLUDED(mu_) {
-    const MutexLock lock(&mu_);
-    return token_;
-  }
-  // Returns false if `contents` is not a token; the former one stays.
-  bool Set(const std::string& contents) ABSL_LOCKS_EXCLUDED(mu_) {
-    std::string token(absl::StripAsciiWhitespace(contents));
-    if (!IsToken(token)) return false;
-    const MutexLock lock(&mu_);
-    token_ = std::move(token);
-    return true;
-  }
-
- private:
-  mutable Mutex mu_;
-  std::string token_ ABSL_GUARDED_BY(mu_);
-};
-
-// Adds the newest token of a file to each call; no call waits for the file.
-class TokenPlugin : public grpc::MetadataCredentialsPlugin {
- public:
-  //   InvalidArgument: there is no token in the file.   Others: it can't be read.
-  static absl::StatusOr<std::unique_ptr<TokenPlugin>> Create(const std::string& path) {
-    auto token = std::make_shared<Token>();
-    CRAFTFLEET_ASSIGN_OR_RETURN(std::string contents, WithPrefix("--token_file", ReadFile(path)));
-    if (!token->Set(contents)) {
-      return absl::InvalidArgumentError(absl::StrCat("--token_file=", path, " is not a token, ", kWanted));
-    }
-    return std::unique_ptr<TokenPlugin>(new TokenPlugin(path, std::move(contents), std::move(token)));
-  }
-
-  bool IsBlocking() const override { return false; }
-
-  grpc::Status GetMetadata(grpc::string_ref /*service_url*/, grpc::string_ref /*method*/,
-                           const grpc::AuthContext& /*context*/,
-                           std::multimap<std::string, std::string>* metadata) override {
-    metadata->insert({"authorization", absl::StrCat("Bearer ", token_->Get())});
-    return grpc::Status::OK;
-  }
-
- private:
-  TokenPlugin(const std::string& path, std::string contents, std::shared_ptr<Token> token)
-      : token_(std::move(token)), watch_(path, std::move(contents), [token = token_, path](const std::string& now) {
-          if (token->Set(now)) {
-            LogInfo("--token_file=%s was read again", path);
-          } else {
-            LogError("--token_file=%s: %s; the former token remains in use", path, kWanted);
-          }
-        }) {}
-
-  const std::shared_ptr<Token> token_;
-  const FileWatch watch_;
-};
 
 // Whether this is the first call with `certificate`: a server and each of its channels validate the same files.
 bool IsFirstWarning(const std::string& certificate) {
@@ -133,10 +192,6 @@ absl::StatusOr<ChannelSecurity> ChannelSecurity::Create(const Options& options) 
   ChannelSecurity security;
   security.options_ = options;
   if (!security.tls()) {
-    if (!options.token_file.empty()) {
-      return absl::InvalidArgumentError(
-          "--token_file requires --tls_ca: without TLS the token could be read in transit");
-    }
     if (!options.server_name.empty()) return absl::InvalidArgumentError("--tls_server_name requires --tls_ca");
     return security;
   }
@@ -145,11 +200,6 @@ absl::StatusOr<ChannelSecurity> ChannelSecurity::Create(const Options& options) 
   tls.watch_root_certs();
   if (!options.files.certificate.empty()) tls.watch_identity_key_cert_pairs();
   security.credentials_ = grpc::experimental::TlsCredentials(tls);
-  if (!options.token_file.empty()) {
-    CRAFTFLEET_ASSIGN_OR_RETURN(std::unique_ptr<TokenPlugin> token, TokenPlugin::Create(options.token_file));
-    security.credentials_ =
-        grpc::CompositeChannelCredentials(security.credentials_, grpc::MetadataCredentialsFromPlugin(std::move(token)));
-  }
   return security;
 }
 
@@ -169,14 +219,9 @@ absl::Status ChannelSecurity::Explain(const absl::Status& error, absl::string_vi
     case absl::StatusCode::kUnavailable:
       text = ExplainConnection(error.message(), address);
       break;
-    case absl::StatusCode::kUnauthenticated:
-      absl::StrAppend(&text, options_.token_file.empty() ? ": it may want a token: give --token_file"
-                                                         : ": check the token in --token_file=" + options_.token_file);
-      break;
     case absl::StatusCode::kPermissionDenied:
       if (!absl::StrContains(text, "not allowed")) break;  // not about rights
-      absl::StrAppend(&text, ": its --access_file gives this process' ",
-                      options_.token_file.empty() ? "certificate" : "token or certificate", " no right to this");
+      absl::StrAppend(&text, ": its --access_file gives this process' certificate no right to this");
       break;
     default:
       break;
@@ -191,7 +236,8 @@ std::string ChannelSecurity::ExplainConnection(absl::string_view error, absl::st
     return "what listens there speaks HTTP, not gRPC: is it the port of the metrics or of the page?";
   }
   if (absl::StrContains(error, "wrong version number")) {
-    return "what listens there does not speak TLS: start it with --tls_cert and --tls_key, or leave --tls_ca out here";
+    return "what listens there does not speak TLS: start it with --tls_cert, --tls_key and --tls_ca, "
+           "or leave --tls_ca out here";
   }
   if (absl::StrContains(error, "certificate verify failed")) {
     return absl::StrCat("TLS: its certificate is not from an authority in --tls_ca=", files.authorities,
@@ -208,7 +254,8 @@ std::string ChannelSecurity::ExplainConnection(absl::string_view error, absl::st
   if (!tls()) {
     // A peer that speaks TLS closes the connection before it is made; a later loss has another cause.
     const bool at_once = absl::StrContains(error, "failed to connect");
-    return at_once ? "it closed the connection at once: if it speaks TLS, give --tls_ca" : std::string(error);
+    return at_once ? "it closed the connection at once: if it speaks TLS, give --tls_ca, --tls_cert and --tls_key"
+                   : std::string(error);
   }
   if (files.certificate.empty()) {
     return "TLS: it closed the connection: it may want a certificate: give --tls_cert and --tls_key";
@@ -218,15 +265,11 @@ std::string ChannelSecurity::ExplainConnection(absl::string_view error, absl::st
                       problem.empty() ? "; its log says why" : ": " + problem);
 }
 
-std::shared_ptr<grpc::ServerCredentials> TlsListenerCredentials(const TlsFiles& files, bool ask_clients) {
-  TlsFiles watched = files;
-  if (!ask_clients) watched.authorities.clear();
-  grpc::experimental::TlsServerCredentialsOptions tls(Watch(watched));
+std::shared_ptr<grpc::ServerCredentials> TlsListenerCredentials(const TlsFiles& files) {
+  grpc::experimental::TlsServerCredentialsOptions tls(Watch(files));
   tls.watch_identity_key_cert_pairs();
-  if (ask_clients) {
-    tls.watch_root_certs();
-    tls.set_cert_request_type(GRPC_SSL_REQUEST_AND_REQUIRE_CLIENT_CERTIFICATE_AND_VERIFY);
-  }
+  tls.watch_root_certs();
+  tls.set_cert_request_type(GRPC_SSL_REQUEST_AND_REQUIRE_CLIENT_CERTIFICATE_AND_VERIFY);
   return grpc::experimental::TlsServerCredentials(tls);
 }
 

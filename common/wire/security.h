@@ -1,4 +1,4 @@
-// TLS and tokens: the credentials that a process presents to its peers and requires from them.
+// TLS: the certificates that a process presents to its peers and requires from them.
 
 #pragma once
 
@@ -35,10 +35,9 @@ class ChannelSecurity {
   struct Options {
     TlsFiles files;           // without authorities: no TLS
     std::string server_name;  // name required in servers' certificates; empty: the host of the address
-    std::string token_file;   // bearer token to send with each call, read again when it changes; empty: none
   };
 
-  // No TLS, no token.
+  // No TLS.
   ChannelSecurity() = default;
   //   InvalidArgument: options that don't go together; names the flags.   Others as TlsFiles::Validate.
   static absl::StatusOr<ChannelSecurity> Create(const Options& options);
@@ -61,8 +60,8 @@ class ChannelSecurity {
   std::shared_ptr<grpc::ChannelCredentials> credentials_;
 };
 
-// The server's side: TLS with `files`, which must include certificate and key. With `ask_clients`, which requires
-// authorities, clients must present a certificate.
-std::shared_ptr<grpc::ServerCredentials> TlsListenerCredentials(const TlsFiles& files, bool ask_clients);
+// The server's side: TLS with `files`, which must include certificate and key. Clients must present a certificate from
+// one of the authorities.
+std::shared_ptr<grpc::ServerCredentials> TlsListenerCredentials(const TlsFiles& files);
 
 }  // namespace craftfleet::wire

@@ -111,14 +111,9 @@ absl::Status Server::Options::Validate() const {
   }
   if (address.empty()) return absl::OkStatus();
   CRAFTFLEET_RETURN_IF_ERROR(CheckAddress("listen", address));
-  const bool knows_clients = (ask_clients && !files.authorities.empty()) || !access_file.empty();
-  if (!insecure && tls && !knows_clients && !IsLoopback(address)) {
+  if (tls && files.authorities.empty()) {
     return absl::InvalidArgumentError(
-        absl::StrFormat("--listen=%s reaches beyond this host, where without certificates of clients anyone could "
-                        "connect, with all rights: give the authority of their certificates (--tls_ca, without "
-                        "--tls_client_certs=false) or their rights (--access_file), or add --insecure if the network "
-                        "is trusted",
-                        address));
+        "--tls_cert requires --tls_ca: clients are known by certificates of this authority");
   }
   if (!insecure && !tls && !IsLoopback(address)) {
     return absl::InvalidArgumentError(absl::StrFormat(
@@ -142,9 +137,7 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Create(const Options& options,
   KeepGrpcUp();
   SetUpGrpc();
   std::shared_ptr<grpc::ServerCredentials> credentials = grpc::InsecureServerCredentials();
-  if (!options.files.certificate.empty()) {
-    credentials = TlsListenerCredentials(options.files, options.ask_clients && !options.files.authorities.empty());
-  }
+  if (!options.files.certificate.empty()) credentials = TlsListenerCredentials(options.files);
   if (!options.access_file.empty()) {
     Options opened = options;
     if (opened.access == nullptr) CRAFTFLEET_RETURN_IF_ERROR(opened.OpenAccess());

@@ -27,8 +27,7 @@ class Server {
   struct Options {
     std::string address;           // HOST:PORT (port 0: any free one) or unix:PATH; empty: in-process channels only
     bool insecure = false;         // allow listening beyond loopback without TLS
-    TlsFiles files = {};           // with a certificate: TLS
-    bool ask_clients = true;       // with TLS and authorities: clients must present a certificate from one of them
+    TlsFiles files = {};           // with a certificate: TLS; clients must present one from an authority
     std::string access_file = {};  // rights of clients; empty: every authenticated client has all rights
     std::shared_ptr<AccessControl> access = nullptr;  // `access_file` as OpenAccess gave it; null: Create opens it
     // Largest accepted message, 1..kMaxMessageBytes; RESOURCE_EXHAUSTED beyond.
@@ -36,12 +35,12 @@ class Server {
     // Memory for incoming and outgoing messages, MiB, 128..1000000. Beyond it calls end with RESOURCE_EXHAUSTED.
     int max_buffered_mb = 512;
     absl::Status Validate() const;
-    // For services that identify callers: opens `access_file`, if there is one, as `access`. Errors as Create.
+    // For services that check callers themselves: opens `access_file`, if there is one, as `access`. Errors as Create.
     absl::Status OpenAccess();
   };
 
   // `services`: at least one.
-  //   InvalidArgument: a bad address, one beyond loopback with neither TLS nor `insecure`, or a bad file.
+  //   InvalidArgument: a bad address, one beyond loopback with neither TLS nor `insecure`, or a bad or missing file.
   //   Unavailable: the port is in use, or the host is not this machine.   Others: a file can't be read.
   static absl::StatusOr<std::unique_ptr<Server>> Create(const Options& options,
                                                         const std::vector<grpc::Service*>& services);

@@ -1,4 +1,4 @@
-// A fleet under attack: wrong credentials, garbage and new tokens do not change the run's result.
+// A fleet under attack: wrong credentials, garbage and new rights do not change the run's result.
 
 #include <sys/socket.h>
 #include <unistd.h>
@@ -13,7 +13,6 @@
 
 #include <absl/strings/numbers.h>
 #include <absl/strings/str_cat.h>
-#include <absl/strings/str_format.h>
 #include <absl/strings/str_split.h>
 #include <gmock/gmock.h>
 #include <grpcpp/completion_queue.h>
@@ -21,7 +20,6 @@
 #include <grpcpp/generic/generic_stub.h>
 #include <gtest/gtest.h>
 
-#include "common/wire/certificates.h"
 #include "common/wire/channel.h"
 #include "tests/fakes/loopback.h"
 #include "tests/fakes/sanitizers.h"
@@ -39,14 +37,12 @@ using testing::Not;
 class SecureFleetTest : public FleetRunTest {
  protected:
   SecureFleetTest() {
-    for (const char* name : {"learner", "envserver", "actor", "monitor", "guest"}) ca_.Issue(name, {name});
-    const std::string access = absl::StrFormat(R"(
+    for (const char* name : {"learner", "envserver", "actor", "monitor"}) ca_.Issue(name, {name});
+    EXPECT_THAT(WriteFileSynced(folder_ / "access.txt", R"(
                   client { name: "workers" certificate: "actor*" right: PLAY }
                   client { name: "servers" certificate: "envserver" right: SERVE }
-                  client { name: "monitor" certificate: "monitor" right: WATCH }
-                  client { name: "guest with token" certificate: "guest" token_sha256: "%s" right: WATCH })",
-                                               wire::Sha256Hex("sesame"));
-    EXPECT_THAT(WriteFileSynced(folder_ / "access.txt", access), IsOk());
+                  client { name: "monitor" certificate: "monitor" right: WATCH })"),
+                IsOk());
   }
 
   // Flags of a process that presents certificate `name`.
@@ -96,7 +92,6 @@ class SecureFleetTest : public FleetRunTest {
 };
 
 TEST_F(SecureFleetTest, StrangersAreRefusedAndTheRunIsTheSame) {
-  ASSERT_THAT(WriteFileSynced(folder_ / "token", "sesame\n"), IsOk());
   StartFleet("strangers");
   WaitForCheckpoint("strangers", 2);
 
@@ -108,51 +103,37 @@ TEST_F(SecureFleetTest, StrangersAreRefusedAndTheRunIsTheSame) {
               AllOf(HasSubstr("learner " + learner_address_ + ": not allowed"), HasSubstr("no right to this")));
   EXPECT_THAT(Fail("craftfleet admin", Tls("monitor", {address, "stop"})),
               AllOf(HasSubstr("not allowed"), HasSubstr("no right to this")));
-  for (const auto& flags :
-       {Tls("monitor", {address}), Tls("guest", {address, "--token_file=" + (folder_ / "token")})}) {
-    EXPECT_EQ(Start("craftfleet status", "watcher", flags)->Wait(kPatience), 0);
-  }
+  EXPECT_EQ(Start("craftfleet status", "watcher", Tls("monitor", {address}))->Wait(kPatience), 0);
 
   EXPECT_THAT(learner_->Err(), AllOf(HasSubstr("gRPC: Handshake failed"),
                                      HasSubstr("refused /craftfleet.v1.StatusService/GetStatus: craftfleet@"),
                                      HasSubstr("it is \"monitor\" in the access file, without the right to play"),
                                      HasSubstr("it is \"monitor\" in the access file, without the right to steer"),
                                      HasSubstr("it is \"workers\" in the access file, without the right to watch")));
-  EXPECT_THAT(learner_->Err(), Not(HasSubstr("sesame")));
   ExpectTheRunToEndLikeQuiet("strangers");
   EXPECT_THAT(actor_->Err(), Not(HasSubstr("trying again")));
 }
 
 // In the middle of the run, with permits and fragments to send.
-TEST_F(SecureFleetTest, TokensReplacedWithoutOverlapAreUsed) {
-  const auto allow = [&](const std::string& token) {
-    ASSERT_THAT(ReplaceFile(folder_ / "access.txt", absl::StrFormat(R"(
-                  client { name: "workers" certificate: "actor" token_sha256: "%1$s" right: PLAY }
-                  client { name: "servers" certificate: "envserver" token_sha256: "%1$s" right: SERVE })",
-                                                                    wire::Sha256Hex(token))),
-                IsOk());
-  };
-  allow("old");
-  ASSERT_THAT(WriteFileSynced(folder_ / "token", "old\n"), IsOk());
-  const std::string token_flag = "--token_file=" + (folder_ / "token");
-  StartSecureLearner("token");
+TEST_F(SecureFleetTest, WorkersGoOnAsSoonAsTheyHaveTheirRightsAgain) {
+  const std::string path = folder_ / "access.txt";
+  const std::string access = ReadFile(path).value();
+  StartSecureLearner("rights");
   const std::string learner_flag = "--learner=" + learner_address_;
-  server_ = Start("craftfleet-envserver", "token-server",
-                  Tls("envserver", {"--listen=127.0.0.1:0", learner_flag, token_flag}));
-  actor_ = Start("craftfleet-actor", "token-actor",
-                 Tls("actor", {learner_flag, "--envservers=learner", "--threads=2", token_flag}));
-  WaitForCheckpoint("token", 2);
+  server_ = Start("craftfleet-envserver", "rights-server", Tls("envserver", {"--listen=127.0.0.1:0", learner_flag}));
+  actor_ =
+      Start("craftfleet-actor", "rights-actor", Tls("actor", {learner_flag, "--envservers=learner", "--threads=2"}));
+  WaitForCheckpoint("rights", 2);
   actor_->Signal(SIGSTOP);  // else the run might end before the learner looks at the file
-  allow("new");
+  ASSERT_THAT(ReplaceFile(path, R"(client { name: "others" certificate: "others" right: PLAY })"), IsOk());
   ASSERT_TRUE(learner_->WaitForText("access.txt was read again", kPatience)) << learner_->Err();
   actor_->Signal(SIGCONT);
   for (const Process* worker : {actor_.get(), server_.get()}) {
     ASSERT_TRUE(worker->WaitForText("trying again until it answers", kPatience)) << worker->Err();
   }
   EXPECT_EQ(learner_->Wait(absl::ZeroDuration()), std::nullopt) << "the run ended before its workers were refused";
-  ASSERT_THAT(ReplaceFile(folder_ / "token", "new\n"), IsOk());
-  ExpectTheRunToEndLikeQuiet("token");
-  for (const Process* worker : {actor_.get(), server_.get()}) EXPECT_THAT(worker->Err(), HasSubstr("was read again"));
+  ASSERT_THAT(ReplaceFile(path, access), IsOk());
+  ExpectTheRunToEndLikeQuiet("rights");
 }
 
 // Acts like a port scanner: sends a plausible beginning, then noise. Connections stay open until the end.
@@ -260,7 +241,7 @@ TEST_F(SecureFleetTest, AGigabyteMessageIsRefusedWithoutUsingAGigabyte) {
   const int64_t learner_memory = PeakMemory(*learner_);
   const int64_t server_memory = PeakMemory(*server_);
   const auto security =
-      wire::ChannelSecurity::Create({{folder_ / "actor.pem", folder_ / "actor.key", folder_ / "ca.pem"}, "", ""});
+      wire::ChannelSecurity::Create({{folder_ / "actor.pem", folder_ / "actor.key", folder_ / "ca.pem"}, ""});
   ASSERT_THAT(security, IsOk());
   // UNAVAILABLE: the connection was reset because it sent so much without a message. That may come first.
   const auto refused = testing::AnyOf(grpc::StatusCode::RESOURCE_EXHAUSTED, grpc::StatusCode::UNAVAILABLE);

@@ -1,11 +1,9 @@
-// TLS and tokens between a real server and real channels, on loopback.
+// TLS between a real server and real channels, on loopback.
 #include "common/wire/security.h"
 
 #include <fcntl.h>
-#include <sys/stat.h>
 #include <unistd.h>
 
-#include <cstdio>
 #include <cstdlib>
 #include <functional>
 #include <memory>
@@ -55,34 +53,27 @@ class SecurityTest : public testing::Test {
     return files;
   }
   // A client with the certificate `name`, or none if it is empty.
-  ChannelSecurity Client(const std::string& name, const std::string& ca = "ca", const std::string& token = "") const {
-    auto security = ChannelSecurity::Create({Files(name, ca), "", token});
+  ChannelSecurity Client(const std::string& name) const {
+    auto security = ChannelSecurity::Create({Files(name), ""});
     EXPECT_THAT(security, IsOk());
     return *std::move(security);
   }
-  std::unique_ptr<Server> Listen(const TlsFiles& files, const std::string& access_file = "", bool ask = true) {
+  // `access`: the content of an access file; empty: none.
+  std::unique_ptr<Server> Listen(const TlsFiles& files, const std::string& access = "") {
     Server::Options options;
     options.address = "127.0.0.1:0";
     options.files = files;
-    options.ask_clients = ask;
-    options.access_file = access_file;
+    if (!access.empty()) {
+      options.access_file = folder_ / "access.txt";
+      EXPECT_THAT(ReplaceFile(options.access_file, access), IsOk());
+    }
     auto server = Server::Create(options, {&status_, &echo_});
     EXPECT_THAT(server, IsOk());
     return *std::move(server);
   }
-  // Clients with `token` may watch.
-  std::unique_ptr<Server> ListenWithToken(const std::string& token) {
-    const std::string access = folder_ / "access.txt";
-    constexpr char kClient[] = R"(client { name: "a" token_sha256: "%s" right: WATCH })";
-    EXPECT_THAT(ReplaceFile(access, absl::StrFormat(kClient, Sha256Hex(token))), IsOk());
-    return Listen(Files("server", ""), access);
-  }
-  std::string WriteToken(const std::string& name, const std::string& token) const {
-    EXPECT_THAT(ReplaceFile(folder_ / name, token + "\n"), IsOk());
-    return folder_ / name;
-  }
-  static absl::Status GetStatus(const Endpoint& endpoint) {
+  static absl::Status GetStatus(const Endpoint& endpoint, const std::string& token = "") {
     grpc::ClientContext context;
+    if (!token.empty()) context.AddMetadata("authorization", "Bearer " + token);
     SetDeadline(&context, absl::Seconds(20));
     v1::StatusReply reply;
     return FromCall(v1::StatusService::NewStub(endpoint.channel)->GetStatus(&context, {}, &reply), "server", endpoint);
@@ -126,11 +117,6 @@ TEST_F(SecurityTest, AcceptsCertificatesOnBothSides) {
   EXPECT_THAT(GetStatus(server->address(), Client("client")), IsOk());
   EXPECT_THAT(Play(server->address(), Client("client")), IsOk());
   EXPECT_THAT(WaitUntilConnected("server", Connect(server->address(), Client("client")), absl::Seconds(10)), IsOk());
-}
-
-TEST_F(SecurityTest, ClientsNeedNoCertificateIfTheServerRequiresNone) {
-  EXPECT_THAT(GetStatus(Listen(Files("server", ""))->address(), Client("")), IsOk());
-  EXPECT_THAT(GetStatus(Listen(Files("server"), "", /*ask=*/false)->address(), Client("")), IsOk());
 }
 
 TEST_F(SecurityTest, AClientWithoutCertificateIsRefused) {
@@ -182,8 +168,8 @@ TEST_F(SecurityTest, AnExpiredCertificateIsWarnedOfOnce) {
 TEST_F(SecurityTest, AServerOfAnotherAuthorityIsNotTrusted) {
   TestAuthority other(folder_, "other");
   other.Issue("stranger", {"stranger"});
-  const auto server = Listen(Files("stranger", ""));
-  const Endpoint endpoint = Connect(server->address(), Client(""));
+  const auto server = Listen(Files("stranger"));
+  const Endpoint endpoint = Connect(server->address(), Client("client"));
   EXPECT_THAT(GetStatus(endpoint),
               StatusIs(absl::StatusCode::kUnavailable,
                        HasSubstr("its certificate is not from an authority in --tls_ca=" + Pem("ca"))));
@@ -194,11 +180,11 @@ TEST_F(SecurityTest, AServerOfAnotherAuthorityIsNotTrusted) {
 
 TEST_F(SecurityTest, TheServersCertificateMustMatchItsAddress) {
   ca_.Issue("elsewhere", {"elsewhere", 1, /*local=*/false});
-  const auto server = Listen(Files("elsewhere", ""));
-  EXPECT_THAT(GetStatus(server->address(), Client("")),
+  const auto server = Listen(Files("elsewhere"));
+  EXPECT_THAT(GetStatus(server->address(), Client("client")),
               StatusIs(absl::StatusCode::kUnavailable,
                        AllOf(HasSubstr("for another name than 127.0.0.1"), HasSubstr("--tls_server_name"))));
-  EXPECT_THAT(GetStatus(server->address(), Client("").ForServer("elsewhere")), IsOk());
+  EXPECT_THAT(GetStatus(server->address(), Client("client").ForServer("elsewhere")), IsOk());
 }
 
 // Each process that was killed left this advice in the logs of its peers.
@@ -212,82 +198,48 @@ TEST_F(SecurityTest, ALostConnectionIsNotTakenForTls) {
 }
 
 TEST_F(SecurityTest, MixingTlsAndPlaintextExplainsWhatToChange) {
-  const auto tls = Listen(Files("server", ""));
+  const auto tls = Listen(Files("server"));
   const auto plain = Listen({});
   ErrorLog([&] {
     EXPECT_THAT(GetStatus(tls->address(), {}), StatusIs(absl::StatusCode::kUnavailable, HasSubstr("give --tls_ca")));
   });
-  EXPECT_THAT(GetStatus(plain->address(), Client("")),
+  EXPECT_THAT(GetStatus(plain->address(), Client("client")),
               StatusIs(absl::StatusCode::kUnavailable, HasSubstr("does not speak TLS")));
 }
 
-TEST_F(SecurityTest, TokensGiveRights) {
-  const std::string access = folder_ / "access.txt";
-  ASSERT_THAT(ReplaceFile(access, absl::StrFormat(R"(
-                client { name: "monitor" token_sha256: "%s" right: WATCH }
-                client { name: "worker" token_sha256: "%s" right: PLAY })",
-                                                  Sha256Hex("monitor's"), Sha256Hex("worker's"))),
-              IsOk());
-  const auto server = Listen(Files("server", ""), access);
-  const std::string monitor = WriteToken("monitor", "monitor's");
-  const std::string worker = WriteToken("worker", "worker's");
-  const std::string wrong = WriteToken("wrong", "wrong");
-  EXPECT_THAT(GetStatus(server->address(), Client("", "ca", monitor)), IsOk());
-  EXPECT_THAT(Play(server->address(), Client("", "ca", worker)), IsOk());
+TEST_F(SecurityTest, CertificatesGiveRights) {
+  ca_.Issue("worker", {"worker"});
+  const auto server = Listen(Files("server"), R"(
+      client { name: "monitor" certificate: "client" right: WATCH }
+      client { name: "workers" certificate: "work*" right: PLAY })");
+  EXPECT_THAT(GetStatus(server->address(), Client("client")), IsOk());
+  EXPECT_THAT(Play(server->address(), Client("worker")), IsOk());
 
   const std::string log = ErrorLog(
       [&] {
-        EXPECT_THAT(Play(server->address(), Client("", "ca", monitor)),
+        EXPECT_THAT(Play(server->address(), Client("client")),
                     StatusIs(absl::StatusCode::kPermissionDenied,
-                             AllOf(HasSubstr("not allowed"), Not(HasSubstr("monitor\"")))));
-        EXPECT_THAT(
-            GetStatus(server->address(), Client("", "ca", wrong)),
-            StatusIs(absl::StatusCode::kUnauthenticated, HasSubstr("check the token in --token_file=" + wrong)));
-        EXPECT_THAT(GetStatus(server->address(), Client("")),
-                    StatusIs(absl::StatusCode::kUnauthenticated, HasSubstr("give --token_file")));
+                             AllOf(HasSubstr("not allowed"), HasSubstr("gives this process' certificate no right"),
+                                   Not(HasSubstr("monitor\"")))));
+        EXPECT_THAT(GetStatus(server->address(), Client("server")),
+                    StatusIs(absl::StatusCode::kPermissionDenied, HasSubstr("not allowed")));
       },
-      "it sent no token");
+      "no client with this certificate");
   EXPECT_THAT(log, AllOf(HasSubstr("refused /craftfleet.v1.EnvironmentService/Play: wire_test@"),
                          HasSubstr("it is \"monitor\" in the access file, without the right to play"),
-                         HasSubstr("its token is not in the access file"), HasSubstr("it sent no token"),
-                         Not(HasSubstr("monitor's"))));
+                         HasSubstr("the access file has no client with this certificate")));
 }
 
-TEST_F(SecurityTest, AChangedTokenIsUsed) {
-  const auto server = ListenWithToken("new");
-  const Endpoint endpoint = Connect(server->address(), Client("", "ca", WriteToken("token", "old")));
-  ErrorLog([&] { EXPECT_FALSE(GetStatus(endpoint).ok()); });
-  WriteToken("token", "new");
-  ErrorLog([&] { EXPECT_TRUE(WaitUntil([&] { return GetStatus(endpoint).ok(); })); });
-}
-
-TEST_F(SecurityTest, WhatIsNoTokenLeavesTheFormerOneInUse) {
-  const auto server = ListenWithToken("old");
-  const std::string path = WriteToken("token", "old");
-  const ChannelSecurity client = Client("", "ca", path);
-  ErrorLog(
+TEST_F(SecurityTest, ATokenAdmitsNoProcess) {
+  constexpr char kReader[] = R"(client { name: "reader" token_sha256: "%s" right: WATCH })";
+  const auto server = Listen(Files("server"), absl::StrFormat(kReader, Sha256Hex("reader's")));
+  const std::string log = ErrorLog(
       [&] {
-        WriteToken("token", "\xff\x01 binary");
-        absl::SleepFor(absl::Seconds(1.5));  // longer than the interval between checks
-        EXPECT_THAT(GetStatus(server->address(), client), IsOk());
+        EXPECT_THAT(GetStatus(Connect(server->address(), Client("client")), "reader's"),
+                    StatusIs(absl::StatusCode::kPermissionDenied, HasSubstr("not allowed")));
       },
-      "the former token remains in use");
-  for (const std::string& text : {std::string(), std::string("two\nlines"), std::string(5000, 'x')}) {
-    WriteToken("token", text);
-    EXPECT_THAT(ChannelSecurity::Create({Files("", "ca"), "", path}),
-                StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("want one line")));
-  }
-}
-
-TEST_F(SecurityTest, NoCallWaitsForTheTokenFile) {
-  const auto server = ListenWithToken("old");
-  const std::string path = WriteToken("token", "old");
-  const Endpoint endpoint = Connect(server->address(), Client("", "ca", path));
-  // Simulates a hanging disk: opening a FIFO blocks until it has a writer.
-  ASSERT_EQ(std::remove(path.c_str()), 0);
-  ASSERT_EQ(mkfifo(path.c_str(), 0600), 0);
-  absl::SleepFor(absl::Seconds(1.5));  // longer than the interval between checks
-  EXPECT_THAT(GetStatus(endpoint), IsOk());
+      "no client with this certificate");
+  EXPECT_THAT(log, Not(HasSubstr("reader's")));
 }
 
 TEST_F(SecurityTest, HandlersCanIdentifyTheCaller) {
@@ -353,7 +305,7 @@ TEST_F(SecurityTest, MakeCertsCreatesWorkingCertificates) {
     return TlsFiles{made + "/" + name + ".pem", made + "/" + name + ".key", made + "/ca.pem"};
   };
   const auto server = Listen(files("learner"));
-  auto ops = ChannelSecurity::Create({files("ops"), "", ""});
+  auto ops = ChannelSecurity::Create({files("ops"), ""});
   ASSERT_THAT(ops, IsOk());
   EXPECT_THAT(GetStatus(server->address(), *ops), IsOk());
   EXPECT_THAT(GetStatus(server->address(), ops->ForServer("learner.example.com")), IsOk());
@@ -363,20 +315,14 @@ TEST_F(SecurityTest, MakeCertsCreatesWorkingCertificates) {
   ASSERT_EQ(std::system((script + "ops").c_str()), 0);
   EXPECT_EQ(*ReadFile(made + "/ca.pem"), authority);
   EXPECT_NE(*ReadFile(made + "/ops.pem"), before);
-  EXPECT_THAT(GetStatus(server->address(), *ChannelSecurity::Create({files("ops"), "", ""})), IsOk());
+  EXPECT_THAT(GetStatus(server->address(), *ChannelSecurity::Create({files("ops"), ""})), IsOk());
 }
 
 TEST_F(SecurityTest, ConflictingOptionsAreNamed) {
-  EXPECT_THAT(ChannelSecurity::Create({{}, "", "token"}),
-              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--token_file requires --tls_ca")));
-  EXPECT_THAT(ChannelSecurity::Create({{}, "name", ""}),
+  EXPECT_THAT(ChannelSecurity::Create({{}, "name"}),
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--tls_server_name requires --tls_ca")));
-  EXPECT_THAT(ChannelSecurity::Create({{Pem("client"), "", ""}, "", ""}),
+  EXPECT_THAT(ChannelSecurity::Create({{Pem("client"), "", ""}, ""}),
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--tls_cert requires --tls_key")));
-  EXPECT_THAT(ChannelSecurity::Create({Files("", "ca"), "", folder_ / "no token"}),
-              StatusIs(absl::StatusCode::kNotFound, HasSubstr("--token_file: cannot open " + folder_ / "no token")));
-  EXPECT_THAT(ChannelSecurity::Create({Files("", "ca"), "", Pem("ca")}),
-              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--token_file=" + Pem("ca") + " is not a token")));
   Server::Options options;
   options.access_file = "access.txt";
   EXPECT_THAT(options.Validate(), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--access_file requires")));
@@ -390,22 +336,20 @@ TEST_F(SecurityTest, WithTlsAServerThatKnowsItsClientsMayListenBeyondThisHost) {
   EXPECT_THAT(options.Validate(), IsOk());
 }
 
-// TLS without a CA gave every stranger all rights.
-TEST_F(SecurityTest, WithTlsAServerThatAdmitsStrangersMayNot) {
+// Without one, TLS gave every stranger all rights.
+TEST_F(SecurityTest, WithTlsAServerNeedsTheAuthorityOfItsClients) {
   Server::Options options;
-  options.address = "0.0.0.0:0";
   options.files = Files("server", "");
-  EXPECT_THAT(options.Validate(), StatusIs(absl::StatusCode::kInvalidArgument,
-                                           testing::AllOf(HasSubstr("--listen=0.0.0.0:0"), HasSubstr("--tls_ca"))));
   options.insecure = true;
-  EXPECT_THAT(options.Validate(), IsOk());
-  options.insecure = false;
   options.access_file = "access.txt";
-  EXPECT_THAT(options.Validate(), IsOk()) << "it has rights only for those whom it knows";
-  options.access_file.clear();
-  options.files = Files("server", "ca");
-  options.ask_clients = false;
-  EXPECT_THAT(options.Validate(), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--tls_client_certs")));
+  for (const char* address : {"0.0.0.0:0", "127.0.0.1:0", "unix:socket"}) {
+    options.address = address;
+    EXPECT_THAT(options.Validate(),
+                StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--tls_cert requires --tls_ca")));
+  }
+  options.address = "";  // of a run in one process, whose page has the certificate
+  options.access_file = "";
+  EXPECT_THAT(Server::Create(options, {&status_}), IsOk());
 }
 
 }  // namespace
