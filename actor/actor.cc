@@ -15,12 +15,12 @@
 #include "common/base/backoff.h"
 #include "common/base/clock.h"
 #include "common/base/status_macros.h"
+#include "common/config/known_canary.h"
 #include "common/process/version.h"
 #include "common/process/worker_name.h"
 #include "common/telemetry/log.h"
 #include "common/wire/protocol.h"
 #include "common/wire/status_service.h"
-#include "envserver/render/built_in_renderer.h"
 
 namespace craftfleet {
 namespace {
@@ -133,7 +133,7 @@ absl::Status Actor::Join() {
       LogInfo("%s: joined run %s, epoch %d", learner_.name(), joined_.run_id(), joined_.epoch());
       return absl::OkStatus();
     }
-    // A learner that accepted this actor before may be replacing tokens, so a refusal is treated as for other calls.
+    // A learner that accepted this actor before may be changing rights, so a refusal is treated as for other calls.
     const CallKind call = was_accepted_ && IsAboutRights(reply.status()) ? CallKind::kPlay : CallKind::kJoin;
     if (!IsTransient(call, reply.status())) return reply.status();
     LogRetry(reply.status());
@@ -156,8 +156,7 @@ absl::Status Actor::StartLoops() {
     SetUpDevice(device, spec.precision);
     LogInfo("acting on %s, %d lanes at once", device, tile);
   }
-  permits_.SetTile(tile);
-  permits_.UseLoops(loops);
+  permits_.Distribute(tile, loops);
   policies_ = std::make_unique<PolicySource>(&learner_, spec, tile, device, options_.weights);
 
   v1::SessionHello hello;
@@ -167,7 +166,7 @@ absl::Status Actor::StartLoops() {
   *hello.mutable_env() = config.env();
   hello.set_client(name_);
   hello.set_game_canary(joined_.game_canary());
-  if (options_.frames == FrameFormat::kScene && !HasBuiltInTextures(joined_.texture_digest())) {
+  if (options_.frames == FrameFormat::kScene && joined_.texture_digest() != kBuiltInTextures) {
     LogInfo("frames travel raw, since the run has other textures than this program");
   } else if (options_.frames != FrameFormat::kRaw) {
     hello.add_frame_formats(static_cast<v1::FrameFormat>(options_.frames));

@@ -13,6 +13,7 @@
 #include "common/base/seeds.h"
 #include "common/base/status_macros.h"
 #include "common/telemetry/log.h"
+#include "common/wire/fragment_check.h"
 
 namespace craftfleet {
 namespace {
@@ -22,6 +23,8 @@ constexpr absl::Duration kFirstPause = absl::Milliseconds(100);
 constexpr absl::Duration kLastPause = absl::Seconds(2);
 
 constexpr absl::Duration kReportEvery = absl::Milliseconds(500);  // of the state of environment servers
+
+constexpr int kRecordBytes = 128;  // of a usual scene record
 
 }  // namespace
 
@@ -180,10 +183,21 @@ void ActorLoop::StartFragments() {
     frames_.append(game.frame);
     states_.insert(states_.end(), game.state.begin(), game.state.end());
     row.record = std::move(game.record);
-    row.format = options_.format == nullptr ? FrameFormat::kRaw : options_.format->load();
-    if (row.format == FrameFormat::kScene && row.record.empty()) row.format = FrameFormat::kRaw;
-    row.builder.Start(permit.epoch, permit.lane, permit.fragment, permit.policy_version,
-                      options_.config.fragment_steps(), options_.frame_bytes, row.format);
+    row.fragment = Fragment();
+    Fragment& fragment = row.fragment;
+    fragment.epoch = permit.epoch;
+    fragment.lane = permit.lane;
+    fragment.number = permit.fragment;
+    fragment.policy_version = permit.policy_version;
+    if (options_.format != nullptr && !row.record.empty()) fragment.frame_format = options_.format->load();
+    const bool is_scene = fragment.frame_format == FrameFormat::kScene;
+    const auto steps = static_cast<size_t>(options_.config.fragment_steps());
+    fragment.frames.reserve(steps * (is_scene ? kRecordBytes : options_.frame_bytes));
+    fragment.actions.reserve(steps);
+    fragment.log_probs.reserve(steps);
+    fragment.values.reserve(steps);
+    fragment.rewards.reserve(steps);
+    fragment.ends.reserve(steps);
   }
 }
 
@@ -195,7 +209,9 @@ absl::Status ActorLoop::PlaySteps(const Policy& policy) {
   for (int t = 0; t < steps; ++t) {
     for (size_t row = 0; row < rows_.size(); ++row) {
       noise[row] = ActionNoise(options_.config.seed(), lanes[row], rows_[row].permit.fragment * steps + t);
-      if (t == 0 || options_.keeps_every_state) rows_[row].builder.AddState(State(row));
+      if (t > 0 && !options_.keeps_every_state) continue;
+      std::vector<float>& states = rows_[row].fragment.states;
+      states.insert(states.end(), State(row).begin(), State(row).end());
     }
     meter_.Switch(Activity::kInference);
     call_.reset();
@@ -222,18 +238,24 @@ absl::Status ActorLoop::AppendStep(const Policy& policy, const ActResult& act, E
   auto lane = stepped->lanes.begin();  // in row order, without lost lanes
   for (size_t row = 0; row < rows_.size() && lane != stepped->lanes.end(); ++row) {
     if (lane->lane != rows_[row].permit.lane) continue;
-    FragmentBuilder& builder = rows_[row].builder;
-    builder.Append(rows_[row].format == FrameFormat::kScene ? rows_[row].record : Frame(row), act.actions[row],
-                   act.log_probs[row], act.values[row], lane->reward, lane->end);
+    Fragment& fragment = rows_[row].fragment;
+    const bool is_scene = fragment.frame_format == FrameFormat::kScene;
+    absl::StrAppend(&fragment.frames, is_scene ? rows_[row].record : Frame(row));
+    fragment.actions.push_back(static_cast<char>(act.actions[row]));
+    fragment.log_probs.push_back(act.log_probs[row]);
+    fragment.values.push_back(act.values[row]);
+    fragment.rewards.push_back(lane->reward);
+    fragment.ends.push_back(lane->end);
+    fragment.snapshot.game = std::move(lane->snapshot);
     rows_[row].record = std::move(lane->record);
-    rows_[row].snapshot = std::move(lane->snapshot);
     if (lane->end != StepEnd::kNone) {
       const absl::Span<float> state = State(row);
-      builder.AddEpisode(lane->episode);
+      fragment.episodes.push_back(lane->episode);
+      fragment.episodes.back().step = static_cast<int>(fragment.ends.size()) - 1;
       if (lane->end == StepEnd::kTruncated) {
         CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> value,
                                     policy.Values(lane->last_frame, {lane->lane}, state));
-        builder.AddTruncationValue(value[0]);
+        fragment.truncation_values.push_back(value[0]);
       }
       std::fill(state.begin(), state.end(), 0.0F);
     }
@@ -291,11 +313,14 @@ absl::Status ActorLoop::SendFragments(const Policy& policy) {
   for (size_t row = 0; row < rows_.size(); ++row) {
     const HeldPermit& permit = rows_[row].permit;
     const std::vector<float> state(State(row).begin(), State(row).end());
+    Fragment& fragment = rows_[row].fragment;
+    fragment.bootstrap_value = bootstrap[row];
+    fragment.snapshot.state = state;
+    wire::ClampPredictions(&fragment);
     games_[permit.lane] = {
         permit.epoch, permit.fragment + 1, permit.policy_version, std::string(Frame(row)), std::move(rows_[row].record),
         state};
-    CRAFTFLEET_RETURN_IF_ERROR(
-        stream_->Push(rows_[row].builder.Finish(bootstrap[row], {std::move(rows_[row].snapshot), state})));
+    CRAFTFLEET_RETURN_IF_ERROR(stream_->Push(std::move(fragment)));
   }
   return absl::OkStatus();
 }

@@ -18,7 +18,6 @@
 #include "actor/env_pool.h"
 #include "actor/env_server_tracker.h"
 #include "actor/error_policy.h"
-#include "actor/fragment_builder.h"
 #include "actor/learner_client.h"
 #include "actor/learner_stream.h"
 #include "actor/permit_tracker.h"
@@ -75,10 +74,8 @@ class ActorLoop {
   // A lane whose fragment is being played.
   struct Row {
     HeldPermit permit;
-    FragmentBuilder builder;
-    std::string record;                      // of the current observation, as in Game
-    FrameFormat format = FrameFormat::kRaw;  // of the fragment's frames
-    std::string snapshot;                    // after the last step
+    Fragment fragment;   // its steps so far
+    std::string record;  // of the current observation, as in Game
   };
 
   // Plays one fragment of each permit's lane; all have one version of the weights. After an error, rows_ has the
@@ -98,7 +95,7 @@ class ActorLoop {
   std::vector<int> Lanes() const;
   // Takes the observations and states of the rows, and begins their fragments.
   void StartFragments();
-  // Plays T steps. The rows' builders get the results; frames_ and states_ become the policy's next input.
+  // Plays T steps. The rows' fragments get the results; frames_ and states_ become the policy's next input.
   absl::Status PlaySteps(const Policy& policy);
   // Appends a step to the rows that were not lost in it.
   absl::Status AppendStep(const Policy& policy, const ActResult& act, EnvPool::Stepped* stepped);

@@ -208,17 +208,16 @@ absl::Status EnvClient::ReceiveRows(StepBatch* batch) {
   CRAFTFLEET_RETURN_IF_ERROR(Receive());
   CRAFTFLEET_RETURN_IF_ERROR(EndIfInvalid(frames_.ReadStep(request_.step(), &reply_, &records_)));
   CRAFTFLEET_RETURN_IF_ERROR(EndIfInvalid(check_.Step(request_.step(), reply_)));
-  CRAFTFLEET_RETURN_IF_ERROR(EndIfInvalid(lengths_.Step(request_.step(), reply_)));
   const int lanes = request_.step().lanes_size();
-  CRAFTFLEET_RETURN_IF_ERROR(EndIfInvalid(wire::FromProto(&reply_, lanes, frame_bytes_, batch)));
+  CRAFTFLEET_RETURN_IF_ERROR(EndIfInvalid(wire::FromProto(&reply_, lanes, frame_bytes_, check_.max_length(), batch)));
+  CRAFTFLEET_RETURN_IF_ERROR(EndIfInvalid(lengths_.Step(request_.step(), reply_)));
   return TakeMoments(lanes);
 }
 
 absl::Status EnvClient::TakeMoments(size_t lanes) {
-  if (!hello_.has_recording()) return absl::OkStatus();
   const int size = hello_.recording().picture_size();
-  absl::StatusOr<std::vector<Moment>> moments =
-      wire::MomentsFromProto(&reply_, static_cast<int>(lanes), frame_bytes_, size * size * 3);
+  absl::StatusOr<std::vector<Moment>> moments = wire::MomentsFromProto(
+      &reply_, hello_.has_recording() ? static_cast<int>(lanes) : 0, frame_bytes_, size * size * 3);
   CRAFTFLEET_RETURN_IF_ERROR(EndIfInvalid(moments.status()));
   std::move(moments->begin(), moments->end(), std::back_inserter(moments_));
   return absl::OkStatus();

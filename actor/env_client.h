@@ -115,7 +115,7 @@ class EnvClient {
   absl::Status CheckCanary();
   // Ends the session if `checked`, the check of the reply, is not ok.
   absl::Status EndIfInvalid(const absl::Status& checked) ABSL_LOCKS_EXCLUDED(mu_);
-  // Adds the reply's moments to `moments_` if the session records.
+  // Adds the reply's moments to `moments_`; there are none unless the session records.
   absl::Status TakeMoments(size_t lanes);
   // Notes that the session is over and frees its last reply: those of a bad server may take tens of megabytes.
   void EndSession();

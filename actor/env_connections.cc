@@ -68,15 +68,10 @@ void EnvConnections::Postpone(size_t server) {
   servers_[server]->next_try = SteadyNow() + servers_[server]->backoff.Next();
 }
 
-absl::Status EnvConnections::HealthOf(size_t server) const {
-  return health_->ErrorOf(servers_[server]->client->address());
-}
-
-bool EnvConnections::MustLeave(size_t server) const {
-  if (!IsSlow(server)) return true;
-  return health_->ShouldLeave(client(server).address()) &&
-         std::any_of(servers_.begin(), servers_.end(), [this](const auto& other) {
-           return other->client->connected() && health_->ErrorOf(other->client->address()).ok();
+bool EnvConnections::MustLeave(const ServerHealth::View& health) const {
+  if (!health.is_slow) return !health.error.ok();
+  return health.should_leave && std::any_of(servers_.begin(), servers_.end(), [this](const auto& other) {
+           return other->client->connected() && health_->Of(other->client->address()).error.ok();
          });
 }
 
@@ -115,7 +110,7 @@ void EnvConnections::ConnectReachable() {
         continue;
       }
       // The reason was logged when the server became suspect.
-      server->error = health_->ErrorOf(server->client->address());
+      server->error = health_->Of(server->client->address()).error;
       if (server->error.ok()) server->error = absl::UnavailableError(name + ": has not answered a probe yet");
     } else if (server->client->Failing() && server->error.ok()) {
       SetError(server, absl::UnavailableError(name + ": not reachable; it gets games as soon as it is"));
@@ -132,7 +127,7 @@ absl::Status EnvConnections::ConnectAny() {
 
 void EnvConnections::ConnectSlow() {
   for (const auto& server : servers_) {
-    if (health_->IsSlow(server->client->address()) && server->client->Reachable()) Connect(server.get());
+    if (health_->Of(server->client->address()).is_slow && server->client->Reachable()) Connect(server.get());
   }
 }
 
@@ -148,7 +143,7 @@ void EnvConnections::WaitForServers() {
       if (server->client->Failing()) {
         Connect(server.get());  // logs errors
       } else {
-        more |= health_->ErrorOf(server->client->address()).ok();
+        more |= health_->Of(server->client->address()).error.ok();
       }
     }
     ConnectReachable();
@@ -172,7 +167,7 @@ absl::Status EnvConnections::WhyNone() const {
   const bool none_fits = std::all_of(servers_.begin(), servers_.end(), [](const auto& server) {
     return !server->error.ok() && ReactionTo(CallKind::kSession, server->error) == Reaction::kUnfit;
   });
-  // If any server has accepted this actor before, the refusals are likely temporary: a token is being replaced, or
+  // If any server has accepted this actor before, the refusals are likely temporary: its rights are being changed, or
   // another run occupies the server.
   if (none_fits && directory_->fixed() && !ever_connected_) return servers_.front()->error;
   return absl::UnavailableError(absl::StrJoin(

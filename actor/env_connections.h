@@ -5,7 +5,6 @@
 #include <cstddef>
 #include <cstdint>
 #include <memory>
-#include <optional>
 #include <string>
 #include <vector>
 
@@ -55,16 +54,10 @@ class EnvConnections {
   absl::Status Drop(size_t server, const absl::Status& why, int lanes);
   // Delays the next session with `server` by a pause.
   void Postpone(size_t server);
-  // Why `server` gets no games, according to ServerHealth; ok: it answers.
-  absl::Status HealthOf(size_t server) const;
-  // Whether the games of `server`, which has an error, must go: it does not answer, or it is slow and another server
-  // that is not is connected.
-  bool MustLeave(size_t server) const;
-  // The rest of what ServerHealth knows of `server`, and what it must know.
-  bool IsSlow(size_t server) const { return health_->IsSlow(client(server).address()); }
-  std::optional<absl::Duration> StepTimeOf(size_t server) const {
-    return health_->StepTimeOf(client(server).address());
-  }
+  ServerHealth::View HealthOf(size_t server) const { return health_->Of(client(server).address()); }
+  // Whether the games of a server of this health must go: it does not answer, or it is slow and another server that is
+  // not is connected.
+  bool MustLeave(const ServerHealth::View& health) const;
   void NoteStep(size_t server, absl::Duration time) { health_->NoteStep(client(server).server(), time); }
   // Ends all sessions.
   void DisconnectAll();

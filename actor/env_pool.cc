@@ -102,8 +102,8 @@ absl::Status EnvPool::Lose(size_t server, const absl::Status& why, std::vector<i
 absl::Status EnvPool::DropSuspects(std::vector<int>* lost) {
   for (size_t i = 0; i < connections_.size(); ++i) {
     if (!connections_.client(i).connected()) continue;
-    const absl::Status error = connections_.HealthOf(i);
-    if (!error.ok() && connections_.MustLeave(i)) CRAFTFLEET_RETURN_IF_ERROR(Lose(i, error, lost));
+    const ServerHealth::View health = connections_.HealthOf(i);
+    if (connections_.MustLeave(health)) CRAFTFLEET_RETURN_IF_ERROR(Lose(i, health.error, lost));
   }
   return absl::OkStatus();
 }
@@ -222,7 +222,7 @@ absl::StatusOr<EnvPool::Stepped> EnvPool::SendAndReceive(absl::Span<const int> l
   // The quickest first: the time of a server that is read after a slower one can't be measured.
   std::vector<std::pair<absl::Duration, size_t>> order;
   for (const auto& [server, rows] : rows_on) {
-    order.emplace_back(connections_.StepTimeOf(server).value_or(absl::ZeroDuration()), server);
+    order.emplace_back(connections_.HealthOf(server).step_time.value_or(absl::ZeroDuration()), server);
   }
   std::sort(order.begin(), order.end());
   for (const auto& [step_time, server] : order) {
@@ -234,8 +234,8 @@ absl::StatusOr<EnvPool::Stepped> EnvPool::SendAndReceive(absl::Span<const int> l
     const bool was_waited_for = end - begun > (end - sent) / 4;  // otherwise its reply was there before
     if (rows.status.ok() && was_waited_for) connections_.NoteStep(server, end - sent);
     // In the middle of a fragment, whose end may be minutes away.
-    const bool must_leave = connections_.IsSlow(server) && connections_.MustLeave(server);
-    if (rows.status.ok() && must_leave) rows.status = connections_.HealthOf(server);
+    const ServerHealth::View health = connections_.HealthOf(server);
+    if (rows.status.ok() && health.is_slow && connections_.MustLeave(health)) rows.status = health.error;
   }
   Stepped stepped;
   stepped.lanes.reserve(lanes.size());
@@ -283,9 +283,10 @@ std::vector<EnvServerTracker::Server> EnvPool::Report() const {
   std::vector<EnvServerTracker::Server> report;
   for (size_t i = 0; i < connections_.size(); ++i) {
     const EnvClient& client = connections_.client(i);
+    const ServerHealth::View health = connections_.HealthOf(i);
     report.push_back({client.address(), client.connected() && client.Reachable(), placement_.LanesOn(i),
-                      client.summary(), std::string(connections_.HealthOf(i).message()), connections_.IsSlow(i),
-                      connections_.StepTimeOf(i).value_or(absl::ZeroDuration())});
+                      client.summary(), std::string(health.error.message()), health.is_slow,
+                      health.step_time.value_or(absl::ZeroDuration())});
   }
   return report;
 }

@@ -1,4 +1,4 @@
-// The actor's reaction to each error of its calls, as one table.
+// The actor's reaction to each error of its calls, in one place.
 
 #pragma once
 
@@ -14,7 +14,6 @@ enum class CallKind {
   kSnapshot,  // of a lane before a fragment
   kSession,   // to an environment server: hello, open, step or close
 };
-inline constexpr int kNumCallKinds = 5;
 
 enum class Reaction {
   kRetry,        // try again with growing pauses; permits that depend on the call are released

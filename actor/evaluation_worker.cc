@@ -141,7 +141,7 @@ absl::StatusOr<EnvClient*> EvaluationWorker::Connect(const v1::EnvConfig& env) {
   const auto others = std::stable_partition(
       servers.begin(), servers.end(), [this](const wire::Endpoint& server) { return options_.health->MayUse(server); });
   for (auto server = servers.begin(); server != servers.end(); ++server) {
-    if (server >= others && !options_.health->IsSlow(server->address)) {
+    if (server >= others && !options_.health->Of(server->address).is_slow) {
       status = absl::UnavailableError("environment server " + server->address + ": has not answered a probe");
       continue;
     }

@@ -58,13 +58,11 @@ class Evaluation {
     std::vector<float> states;
     for (const auto& [lane, game] : playing_) {
       lanes.push_back(lane);
-      noise.push_back(ActionNoise(static_cast<uint64_t>(options_.seed), lane, game.step));
+      if (!options_.greedy) noise.push_back(ActionNoise(static_cast<uint64_t>(options_.seed), lane, game.step));
       frames.append(game.frame);
       states.insert(states.end(), game.state.begin(), game.state.end());
     }
-    CRAFTFLEET_ASSIGN_OR_RETURN(const ActResult act, options_.greedy
-                                                         ? policy_.ActGreedily(frames, lanes, absl::MakeSpan(states))
-                                                         : policy_.Act(frames, lanes, noise, absl::MakeSpan(states)));
+    CRAFTFLEET_ASSIGN_OR_RETURN(const ActResult act, policy_.Act(frames, lanes, noise, absl::MakeSpan(states)));
     const float* state = states.data();
     for (auto& [lane, game] : playing_) {
       std::copy_n(state, game.state.size(), game.state.begin());

@@ -28,7 +28,7 @@ class FrameReader {
   absl::Status Begin(const v1::PlayReply& reply);
 
   // These replace the frames of a reply by pixels, and append the record of each of `frames` to `records`; only
-  // scenes have one. Sizes are checked by PlayReplyCheck afterwards.
+  // scenes have one. Sizes are checked afterwards.
   absl::Status ReadOpened(const v1::OpenLanes& request, v1::PlayReply* reply, std::vector<std::string>* records);
   absl::Status ReadStep(const v1::StepLanes& request, v1::PlayReply* reply, std::vector<std::string>* records);
 

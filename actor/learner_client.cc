@@ -11,8 +11,7 @@ namespace {
 
 constexpr absl::Duration kCallTimeout = absl::Seconds(4);       // users should see an error within 5 s
 constexpr absl::Duration kWeightsTimeout = absl::Seconds(120);  // half a gigabyte over a slow link
-constexpr int kWeightsWaitMs = 1000;
-constexpr size_t kSnapshotsAtOnce = 32;  // a connection may have 128 calls
+constexpr size_t kSnapshotsAtOnce = 32;                         // a connection may have 128 calls
 
 }  // namespace
 
@@ -122,7 +121,6 @@ void LearnerClient::Cancel() {
 absl::StatusOr<std::pair<int64_t, std::string>> LearnerClient::GetWeights(int64_t version, int64_t max_bytes) const {
   v1::WeightsRequest request;
   request.set_at_least(version);
-  request.set_wait_ms(kWeightsWaitMs);
   return ReceiveWeights(request, max_bytes);
 }
 

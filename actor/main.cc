@@ -14,11 +14,10 @@
 #include "common/process/shared_flags.h"
 #include "common/telemetry/log.h"
 #include "common/wire/channel.h"
-#include "common/wire/channel_flags.h"
-#include "common/wire/metrics_flags.h"
+#include "common/wire/metrics.h"
 #include "common/wire/protocol.h"
-#include "common/wire/server_flags.h"
 #include "common/wire/status_service.h"
+#include "common/wire/wire_flags.h"
 
 ABSL_FLAG(std::string, envservers, "127.0.0.1:50061",
           "environment servers, joined by commas: HOST:PORT, dns:HOST:PORT or learner\n"
@@ -52,8 +51,7 @@ Ctrl-C, SIGTERM or closing the terminal stops it.)";
 
 absl::Status Run() {
   SetUpTorchThread();
-  CRAFTFLEET_ASSIGN_OR_RETURN(const wire::MetricsServer::Options metrics_options,
-                              wire::MetricsOptionsFromFlags(wire::kAnyFreePort));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string metrics_address, wire::MetricsAddressFromFlags(wire::kAnyFreePort));
   Actor::Options options;
   const std::string learner = absl::GetFlag(FLAGS_learner).address.value_or(kLearnerAddress);
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckAddress("learner", learner));
@@ -82,8 +80,8 @@ absl::Status Run() {
   StopSignal signal([&actor] { actor->Stop(); });
   if (const std::string warning = SlowMathWarning(); !warning.empty()) LogWarning("%s", warning);
   LogInfo("status on %s", server->address());
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<wire::MetricsServer> metrics,
-                              wire::ServeMetrics(metrics_options, &status, [&server] { return server->serving(); }));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<wire::HttpServer> metrics,
+                              wire::ServeMetrics(metrics_address, &status, [&server] { return server->serving(); }));
   return actor->Run(server->address());
 }
 

@@ -6,13 +6,9 @@
 
 namespace craftfleet {
 
-void PermitTracker::SetTile(int tile) {
+void PermitTracker::Distribute(int tile, int loops) {
   MutexLock lock(&mu_);
   tile_ = tile;
-}
-
-void PermitTracker::UseLoops(int loops) {
-  MutexLock lock(&mu_);
   loops_ = loops;
 }
 

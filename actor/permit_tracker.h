@@ -35,10 +35,9 @@ class PermitTracker {
  public:
   explicit PermitTracker(int loops) : loops_(loops), waiting_(loops) {}
 
-  // Sets the rows of an inference call, by which lanes are distributed over loops.
-  void SetTile(int tile) ABSL_LOCKS_EXCLUDED(mu_);
-  // Distributes lanes over the first `loops` loops alone, 1 or more; before the first permit.
-  void UseLoops(int loops) ABSL_LOCKS_EXCLUDED(mu_);
+  // Distributes lanes over the first `loops` loops alone, 1 or more, by tiles of `tile` lanes, the rows of an inference
+  // call; before the first permit.
+  void Distribute(int tile, int loops) ABSL_LOCKS_EXCLUDED(mu_);
 
   // Adds a permit; ignored if it is already held.
   void Add(const HeldPermit& permit) ABSL_LOCKS_EXCLUDED(mu_);

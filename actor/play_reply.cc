@@ -1,6 +1,5 @@
 #include "actor/play_reply.h"
 
-#include <algorithm>
 #include <string>
 
 #include <absl/status/statusor.h>
@@ -13,7 +12,6 @@
 #include "common/base/types.h"
 #include "common/config/env_name.h"
 #include "common/io/snapshot_envelope.h"
-#include "common/wire/fragment_check.h"
 #include "common/wire/protocol.h"
 #include "common/wire/request_check.h"
 
@@ -85,10 +83,7 @@ absl::Status CheckRefused(const v1::OpenLanes& request, const v1::PlayReply& rep
 std::string CutReason(absl::string_view text) { return Printable(text.substr(0, wire::kMaxReasonBytes)); }
 
 PlayReplyCheck::PlayReplyCheck(const v1::SessionHello& hello, int frame_bytes)
-    : records_(hello.has_recording()),
-      frame_bytes_(frame_bytes),
-      max_length_(MaxLength(hello.env())),
-      env_digest_(DigestOf(hello.env())) {}
+    : frame_bytes_(frame_bytes), max_length_(MaxLength(hello.env())), env_digest_(DigestOf(hello.env())) {}
 
 absl::Status PlayReplyCheck::Hello(const v1::PlayReply& reply) const {
   CRAFTFLEET_RETURN_IF_ERROR(CheckCommon(reply));
@@ -104,18 +99,22 @@ absl::Status PlayReplyCheck::Open(const v1::OpenLanes& request, const v1::PlayRe
   CRAFTFLEET_RETURN_IF_ERROR(CheckRefused(request, reply));
   const int64_t open = request.lanes_size() - reply.refused_size();
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckSize("frames", SizeOf(reply.frames()), open * frame_bytes_, "bytes"));
-  CRAFTFLEET_RETURN_IF_ERROR(EpisodeSteps(reply, open));
-  return Moments(reply);
+  return EpisodeSteps(reply, open);
 }
 
 absl::Status PlayReplyCheck::Step(const v1::StepLanes& request, const v1::PlayReply& reply) const {
   CRAFTFLEET_RETURN_IF_ERROR(CheckCommon(reply));
   CRAFTFLEET_RETURN_IF_ERROR(CheckNoHello(reply));
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckSize("refused", reply.refused_size(), 0, "lanes"));
+  const int lanes = request.lanes_size();
+  CRAFTFLEET_RETURN_IF_ERROR(EpisodeSteps(reply, lanes));
   CRAFTFLEET_RETURN_IF_ERROR(
-      wire::CheckSize("frames", SizeOf(reply.frames()), request.lanes_size() * frame_bytes_, "bytes"));
-  CRAFTFLEET_RETURN_IF_ERROR(Games(request, reply));
-  return Moments(reply);
+      wire::CheckSize("snapshots", reply.snapshots_size(), request.snapshot() ? lanes : 0, "snapshots"));
+  // The learner would refuse a fragment with an invalid snapshot.
+  for (const std::string& snapshot : reply.snapshots()) {
+    CRAFTFLEET_RETURN_IF_ERROR(CheckSnapshot(env_digest_, snapshot));
+  }
+  return absl::OkStatus();
 }
 
 absl::Status PlayReplyCheck::Close(const v1::PlayReply& reply) const {
@@ -124,57 +123,11 @@ absl::Status PlayReplyCheck::Close(const v1::PlayReply& reply) const {
   return CheckNoGames(reply);
 }
 
-absl::Status PlayReplyCheck::Games(const v1::StepLanes& request, const v1::PlayReply& reply) const {
-  const int lanes = request.lanes_size();
-  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckSize("rewards", reply.rewards_size(), lanes, "numbers"));
-  // The range of a step's reward: common/base/crafter.h.
-  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckRewards(reply.rewards()));
-  CRAFTFLEET_RETURN_IF_ERROR(EpisodeSteps(reply, lanes));
-  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckSize("ends", SizeOf(reply.ends()), lanes, "bytes"));
-  int64_t ended = 0;
-  int64_t truncated = 0;
-  for (const char end : reply.ends()) {
-    CRAFTFLEET_RETURN_IF_ERROR(wire::CheckCount("ends", static_cast<unsigned char>(end), 0, 2));
-    ended += end != static_cast<char>(StepEnd::kNone) ? 1 : 0;
-    truncated += end == static_cast<char>(StepEnd::kTruncated) ? 1 : 0;
-  }
-  CRAFTFLEET_RETURN_IF_ERROR(
-      wire::CheckSize("last_frames", SizeOf(reply.last_frames()), truncated * frame_bytes_, "bytes"));
-  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckSize("episodes", reply.episodes_size(), ended, "episodes"));
-  for (const v1::EpisodeMessage& episode : reply.episodes()) {
-    CRAFTFLEET_RETURN_IF_ERROR(wire::CheckCount("episodes.step", episode.step(), 0, 0));  // a reply has only one step
-    CRAFTFLEET_RETURN_IF_ERROR(
-        wire::CheckSize("achievements", episode.achievements_size(), kNumAchievements, "counts"));
-    CRAFTFLEET_RETURN_IF_ERROR(wire::CheckEpisode(episode, 1, max_length_));
-  }
-  // The learner would refuse a fragment with an invalid snapshot.
-  CRAFTFLEET_RETURN_IF_ERROR(
-      wire::CheckSize("snapshots", reply.snapshots_size(), request.snapshot() ? lanes : 0, "snapshots"));
-  for (const std::string& snapshot : reply.snapshots()) {
-    if (snapshot.empty()) return absl::InvalidArgumentError("snapshots: one is empty, want the game after the step");
-    CRAFTFLEET_RETURN_IF_ERROR(CheckSnapshot(env_digest_, snapshot));
-  }
-  return absl::OkStatus();
-}
-
 absl::Status PlayReplyCheck::EpisodeSteps(const v1::PlayReply& reply, int64_t lanes) const {
   if (reply.episode_steps_size() == 0) return absl::OkStatus();
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckSize("episode_steps", reply.episode_steps_size(), lanes, "numbers"));
   for (const int64_t steps : reply.episode_steps()) {
     CRAFTFLEET_RETURN_IF_ERROR(wire::CheckCount("episode_steps", steps, 0, max_length_ - 1));
-  }
-  return absl::OkStatus();
-}
-
-absl::Status PlayReplyCheck::Moments(const v1::PlayReply& reply) const {
-  if (!records_) return wire::CheckSize("moments", reply.moments_size(), 0, "moments");
-  // The other fields of a moment are checked when it is converted (common/wire/convert.h).
-  const auto known = [](char id) { return id >= 1 && id <= 18; };
-  for (const v1::Moment& moment : reply.moments()) {
-    if (!std::all_of(moment.semantic().begin(), moment.semantic().end(), known)) {
-      return absl::InvalidArgumentError(
-          "moments.semantic: a cell that is neither a material nor an object, want 1..18");
-    }
   }
   return absl::OkStatus();
 }

@@ -1,4 +1,5 @@
-// Checks the replies of an environment server: the ranges of all fields of PlayReply, in one place.
+// Checks the replies of an environment server; what can be said of a PlayReply by itself is checked when it is read
+// (common/wire/convert.h).
 
 #pragma once
 
@@ -31,12 +32,8 @@ class PlayReplyCheck {
   absl::Status Close(const v1::PlayReply& reply) const;
 
  private:
-  // Checks the results of a step.
-  absl::Status Games(const v1::StepLanes& request, const v1::PlayReply& reply) const;
-  absl::Status Moments(const v1::PlayReply& reply) const;
   absl::Status EpisodeSteps(const v1::PlayReply& reply, int64_t lanes) const;
 
-  const bool records_;
   const int64_t frame_bytes_;
   const int64_t max_length_;   // steps of an episode
   const uint64_t env_digest_;  // for snapshots
@@ -54,9 +51,9 @@ class EpisodeLengths {
   // The games of `request` begin, or go on from snapshots. `reply` has passed PlayReplyCheck.   InvalidArgument: a new
   // game has steps.
   absl::Status Open(const v1::OpenLanes& request, const v1::PlayReply& reply);
-  // `reply` has passed PlayReplyCheck.   InvalidArgument: a game has other steps than were counted here; an episode has
-  // another length than its steps (the learner would refuse its fragment); or one does not end when it has the most
-  // steps.
+  // `reply` has passed PlayReplyCheck and FromProto.   InvalidArgument: a game has other steps than were counted here;
+  // an episode has another length than its steps (the learner would refuse its fragment); or one does not end when it
+  // has the most steps.
   absl::Status Step(const v1::StepLanes& request, const v1::PlayReply& reply);
 
  private:

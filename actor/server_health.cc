@@ -78,12 +78,6 @@ void ServerHealth::Suspect(const wire::Endpoint& endpoint, const absl::Status& w
   Prepare(endpoint, &server);
 }
 
-absl::Status ServerHealth::ErrorOf(const std::string& address) const {
-  const MutexLock lock(&mu_);
-  const auto found = servers_.find(address);
-  return found == servers_.end() ? absl::OkStatus() : found->second.error;
-}
-
 void ServerHealth::NoteStep(const wire::Endpoint& endpoint, absl::Duration time) {
   const MutexLock lock(&mu_);
   const absl::Time now = SteadyNow();
@@ -102,23 +96,14 @@ void ServerHealth::NoteStep(const wire::Endpoint& endpoint, absl::Duration time)
   }
 }
 
-bool ServerHealth::IsSlow(const std::string& address) const {
+ServerHealth::View ServerHealth::Of(const std::string& address) const {
   const MutexLock lock(&mu_);
   const auto found = servers_.find(address);
-  return found != servers_.end() && found->second.state == State::kSlow;
-}
-
-bool ServerHealth::ShouldLeave(const std::string& address) const {
-  const MutexLock lock(&mu_);
-  const auto found = servers_.find(address);
-  return found != servers_.end() && found->second.state == State::kSlow && found->second.should_leave;
-}
-
-std::optional<absl::Duration> ServerHealth::StepTimeOf(const std::string& address) const {
-  const MutexLock lock(&mu_);
-  const auto found = servers_.find(address);
-  if (found != servers_.end() && found->second.state == State::kSlow) return found->second.step_time;
-  return step_times_.TypicalOf(address);
+  if (found == servers_.end()) return {};
+  const Server& server = found->second;
+  const bool is_slow = server.state == State::kSlow;
+  return {server.error, is_slow, is_slow && server.should_leave,
+          is_slow ? server.step_time : step_times_.TypicalOf(address)};
 }
 
 void ServerHealth::BecomeSlow(const std::string& address, absl::Duration step_time, Server* server) {
@@ -241,7 +226,8 @@ bool ServerHealth::IsDue(Server* server) {
 
 void ServerHealth::Probe(const std::string& address, EnvClient* client) {
   // Where it was late, one quick answer does not show that it is well.
-  const bool was_late = IsSlow(address) || absl::IsDeadlineExceeded(ErrorOf(address));
+  const View before = Of(address);
+  const bool was_late = before.is_slow || absl::IsDeadlineExceeded(before.error);
   TakeResult(address, PlayProbe(client, was_late ? StepTimes::kWindow : absl::ZeroDuration()));
 }
 

@@ -47,6 +47,15 @@ class ServerHealth {
     absl::Duration last_pause = kLastPause;
   };
 
+  // What is known of a server.
+  struct View {
+    absl::Status error;         // why it gets no games, or only for want of another; ok: it answers, or is unknown
+    bool is_slow = false;       // it answers, but slowly
+    bool should_leave = false;  // a slow one: its games should move to any other server that has no error
+    // The typical time of a step there (StepTimes); of a slow one, as last measured. nullopt: not known yet.
+    std::optional<absl::Duration> step_time;
+  };
+
   explicit ServerHealth(Options options);
   // Ends running probes; takes at most a second.
   ~ServerHealth();
@@ -58,14 +67,7 @@ class ServerHealth {
   void Suspect(const wire::Endpoint& server, const absl::Status& why) ABSL_LOCKS_EXCLUDED(mu_);
   // A step of the games on `server` took `time`.
   void NoteStep(const wire::Endpoint& server, absl::Duration time) ABSL_LOCKS_EXCLUDED(mu_);
-  // Why the server gets no games, or only for want of another; ok: it answers, or is unknown.
-  absl::Status ErrorOf(const std::string& address) const ABSL_LOCKS_EXCLUDED(mu_);
-  // Whether it answers, but slowly.
-  bool IsSlow(const std::string& address) const ABSL_LOCKS_EXCLUDED(mu_);
-  // Whether its games should move to any other server that has no error.
-  bool ShouldLeave(const std::string& address) const ABSL_LOCKS_EXCLUDED(mu_);
-  // The typical time of a step there (StepTimes); for a slow server, as last measured. nullopt: not known yet.
-  std::optional<absl::Duration> StepTimeOf(const std::string& address) const ABSL_LOCKS_EXCLUDED(mu_);
+  View Of(const std::string& address) const ABSL_LOCKS_EXCLUDED(mu_);
 
   // The timeout of each request to a server.
   absl::Duration timeout() const { return options_.timeout; }

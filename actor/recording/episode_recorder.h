@@ -8,7 +8,6 @@
 #include <memory>
 #include <optional>
 #include <string>
-#include <utility>
 
 #include <absl/status/status.h>
 #include <absl/status/statusor.h>
@@ -16,7 +15,6 @@
 #include <absl/time/time.h>
 
 #include "actor/episode_observer.h"
-#include "actor/recording/episode_table.h"
 #include "actor/recording/picture.h"
 #include "actor/recording/video_file.h"
 #include "common/agent/attention_map.h"
@@ -48,6 +46,7 @@ class EpisodeRecorder : public EpisodeObserver {
   //   InvalidArgument: the policy does not have the chosen attention.   Others: codes of common/io/files.h.
   static absl::StatusOr<std::unique_ptr<EpisodeRecorder>> Create(const Options& options, AttentionSource attention,
                                                                  absl::Time start);
+  ~EpisodeRecorder() override;
 
   absl::Status OnStart(int64_t number, const Moment& moment) override;
   absl::Status OnStep(int64_t number, const ObservedStep& step, const Moment& moment) override;
@@ -56,15 +55,15 @@ class EpisodeRecorder : public EpisodeObserver {
   absl::Status FinishAll();
 
  private:
+  class Table;
   struct Recording {
     int64_t steps = 0;
-    int unlocked = 0;                   // achievements
-    std::unique_ptr<VideoFile> video;   // null: none
-    std::optional<EpisodeTable> table;  // nullopt: none
+    int unlocked = 0;                  // achievements
+    std::unique_ptr<VideoFile> video;  // null: none
+    std::unique_ptr<Table> table;      // null: none
   };
 
-  EpisodeRecorder(const Options& options, AttentionSource attention, absl::Time start)
-      : options_(options), attention_(std::move(attention)), start_(start) {}
+  EpisodeRecorder(const Options& options, AttentionSource attention, absl::Time start);
 
   int picture_width() const { return options_.picture_size * (options_.attention.has_value() ? 2 : 1); }
   int picture_height() const {

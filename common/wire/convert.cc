@@ -123,6 +123,10 @@ absl::Status ReadMoment(v1::Moment* message, int frame_bytes, int picture_bytes,
   CRAFTFLEET_RETURN_IF_ERROR(CheckSize("moment.picture", size_of(message->picture()), picture_bytes, "bytes"));
   CRAFTFLEET_RETURN_IF_ERROR(
       CheckSize("moment.semantic", size_of(message->semantic()), kWorldSize * kWorldSize, "bytes"));
+  const auto known = [](char id) { return id >= 1 && id <= 18; };
+  if (!std::all_of(message->semantic().begin(), message->semantic().end(), known)) {
+    return absl::InvalidArgumentError("moment.semantic: a cell that is neither a material nor an object, want 1..18");
+  }
   const auto inside = [](int32_t cell) { return cell >= 0 && cell < kWorldSize; };
   if (!inside(message->player_x()) || !inside(message->player_y())) {
     return absl::InvalidArgumentError(absl::StrFormat("moment.player: at %d, %d, want 0..%d", message->player_x(),
@@ -261,7 +265,7 @@ void ToProto(StepBatch* batch, v1::PlayReply* message) {
   for (std::string& snapshot : batch->snapshots) message->add_snapshots(std::move(snapshot));
 }
 
-absl::Status FromProto(v1::PlayReply* message, int lanes, int frame_bytes, StepBatch* batch) {
+absl::Status FromProto(v1::PlayReply* message, int lanes, int frame_bytes, int64_t max_length, StepBatch* batch) {
   const int64_t frame_size = frame_bytes;
   CRAFTFLEET_RETURN_IF_ERROR(
       CheckSize("frames", static_cast<int64_t>(message->frames().size()), lanes * frame_size, "bytes"));
@@ -273,7 +277,7 @@ absl::Status FromProto(v1::PlayReply* message, int lanes, int frame_bytes, StepB
   const std::vector<int> end_steps(EndSteps(batch->ends).size(), 0);
   CRAFTFLEET_RETURN_IF_ERROR(ReadEpisodes(message->episodes(), end_steps, &batch->episodes));
   for (const v1::EpisodeMessage& episode : message->episodes()) {
-    CRAFTFLEET_RETURN_IF_ERROR(CheckEpisode(episode, 1, kMaxEpisodeLength));
+    CRAFTFLEET_RETURN_IF_ERROR(CheckEpisode(episode, 1, max_length));
   }
   CRAFTFLEET_RETURN_IF_ERROR(CheckRewards(message->rewards()));
   CRAFTFLEET_RETURN_IF_ERROR(CheckSnapshots(message->snapshots(), lanes));
@@ -300,9 +304,6 @@ void ToProto(std::vector<Moment> moments, v1::PlayReply* message) {
 
 absl::StatusOr<std::vector<Moment>> MomentsFromProto(v1::PlayReply* message, int lanes, int frame_bytes,
                                                      int picture_bytes) {
-  if (message->moments_size() == 0 && lanes > 0) {
-    return absl::UnimplementedError("it can't record episodes: upgrade it to this program's version");
-  }
   CRAFTFLEET_RETURN_IF_ERROR(CheckSize("moments", message->moments_size(), lanes, "moments"));
   std::vector<Moment> moments(lanes);
   for (int i = 0; i < lanes; ++i) {

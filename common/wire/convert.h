@@ -37,14 +37,14 @@ absl::StatusOr<std::vector<Episode>> FromProto(const v1::EvaluationResult& messa
 // `message` is reused: its buffers keep their capacity. The frames of `batch` are moved out.
 void ToProto(StepBatch* batch, v1::PlayReply* message);
 
-// The reply to a step of `lanes` lanes; checks sizes and ranges like FromProto above.
-absl::Status FromProto(v1::PlayReply* message, int lanes, int frame_bytes, StepBatch* batch);
+// The reply to a step of `lanes` lanes, whose episodes have at most `max_length` steps; checks sizes and ranges like
+// FromProto above.
+absl::Status FromProto(v1::PlayReply* message, int lanes, int frame_bytes, int64_t max_length, StepBatch* batch);
 
 // The moments in a reply to a session that records episodes.
 void ToProto(std::vector<Moment> moments, v1::PlayReply* message);
 
-// The moments of a reply about `lanes` lanes, with pictures of `picture_bytes`.
-//   Unimplemented: there are none, since the server is too old to record.   InvalidArgument: as above.
+// The moments of a reply about `lanes` lanes, with pictures of `picture_bytes`. Checked as above.
 absl::StatusOr<std::vector<Moment>> MomentsFromProto(v1::PlayReply* message, int lanes, int frame_bytes,
                                                      int picture_bytes);
 

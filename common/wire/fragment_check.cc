@@ -1,5 +1,6 @@
 #include "common/wire/fragment_check.h"
 
+#include <algorithm>
 #include <cmath>
 
 #include <absl/strings/str_format.h>
@@ -8,6 +9,7 @@
 #include "common/base/types.h"
 #include "common/io/snapshot_envelope.h"
 #include "common/wire/protocol.h"
+#include "common/wire/request_check.h"
 
 namespace craftfleet::wire {
 namespace {
@@ -29,7 +31,16 @@ absl::Status CheckRange(absl::string_view field, const Floats& values, float low
   return absl::OkStatus();
 }
 
+float InRange(float value) { return std::clamp(value, -kMaxValue, kMaxValue); }
+
 }  // namespace
+
+void ClampPredictions(Fragment* fragment) {
+  for (float& log_prob : fragment->log_probs) log_prob = std::max(log_prob, kMinLogProb);
+  for (float& value : fragment->values) value = InRange(value);
+  for (float& value : fragment->truncation_values) value = InRange(value);
+  fragment->bootstrap_value = InRange(fragment->bootstrap_value);
+}
 
 absl::Status CheckStates(absl::string_view field, const Floats& states, int hidden, int64_t max_length) {
   const auto longest = static_cast<float>(max_length) * kMaxHidden;
@@ -71,12 +82,9 @@ absl::Status CheckRewardSums(const v1::FragmentMessage& message) {
 }
 
 absl::Status CheckFragmentValues(const v1::FragmentMessage& message, const FragmentShape& shape) {
-  for (const auto& [field, count] : {std::pair("epoch", message.epoch()), std::pair("number", message.number()),
-                                     std::pair("policy_version", message.policy_version())}) {
-    if (count < 0 || count > kMaxCount) {
-      return absl::InvalidArgumentError(absl::StrFormat("%s %d, want 0..%d", field, count, kMaxCount));
-    }
-  }
+  CRAFTFLEET_RETURN_IF_ERROR(CheckCount("epoch", message.epoch(), 0, kMaxCount));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckCount("number", message.number(), 0, kMaxCount));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckCount("policy_version", message.policy_version(), 0, kMaxCount));
   CRAFTFLEET_RETURN_IF_ERROR(CheckRange("log_probs", message.log_probs(), kMinLogProb, 0));
   CRAFTFLEET_RETURN_IF_ERROR(CheckValues(message, -kMaxValue, kMaxValue));
   CRAFTFLEET_RETURN_IF_ERROR(CheckRewards(message.rewards()));

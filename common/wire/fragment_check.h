@@ -36,6 +36,10 @@ struct FragmentShape {
   int64_t max_length = kEpisodeLength;  // steps of an episode
 };
 
+// Keeps what diverging training predicts within the ranges that every learner accepts; with normalised values the
+// learner's range is narrower (PPO.md, section 9).
+void ClampPredictions(Fragment* fragment);
+
 // All of these return InvalidArgument with the field, its value and what was expected.
 
 // Checks the values of a fragment whose fields have the right sizes, and its snapshot, but not its episodes.

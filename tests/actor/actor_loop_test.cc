@@ -8,8 +8,11 @@
 #include <vector>
 
 #include <absl/strings/str_split.h>
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "common/agent/weights.h"
+#include "common/wire/fragment_check.h"
 #include "common/wire/protocol.h"
 #include "tests/actor/stand_in_learner.h"
 #include "tests/fakes/env_server.h"
@@ -20,6 +23,10 @@
 
 namespace craftfleet {
 namespace {
+
+using testing::AnyOf;
+using testing::Each;
+using testing::ElementsAre;
 
 // A loop that plays all lanes on some servers, and the learner whose permits a test gives it.
 class ActorLoopTest : public testing::Test {
@@ -130,6 +137,27 @@ TEST_F(ActorLoopTest, AResetLaneIsLoadedFromItsSnapshot) {
   std::map<int, std::string> after = FirstFrames();
   EXPECT_TRUE(after[0] == before[0]) << "the game before the last fragment";
   for (int lane = 1; lane < kLanes; ++lane) EXPECT_FALSE(after[lane] == before[lane]) << lane;
+}
+
+TEST_F(ActorLoopTest, WhatADivergingAgentPredictsIsWithinTheLearnersRange) {
+  ASSERT_NO_FATAL_FAILURE(Start("ppo_cnn", {env_.Connect()}));
+  for (int i = 0; i < kFragmentsPerIteration; ++i) {
+    Play(Ask());
+    FirstFrames();
+  }
+  const AgentSpec spec = *FindAgent("ppo_cnn");
+  std::vector<float> weights = *LoadWeights(spec, SampleWeights(1));
+  for (float& weight : weights) weight *= 1e4F;
+  learner_->Open(1, SaveWeights(spec, weights));
+  Play(Ask());
+  for (int i = 0; i < kLanes; ++i) {
+    const auto fragment = learner_->fragments().Pop(absl::Minutes(1));
+    ASSERT_TRUE(fragment.has_value());
+    const auto is_bound = AnyOf(wire::kMaxValue, -wire::kMaxValue);
+    EXPECT_THAT(fragment->values, Each(is_bound));
+    EXPECT_THAT(fragment->truncation_values, ElementsAre(is_bound));
+    EXPECT_THAT(fragment->bootstrap_value, is_bound);
+  }
 }
 
 // While the learner was paused, it was shown as usable.

@@ -111,7 +111,7 @@ class BadEnvServer : public testing::Test {
     return lanes.empty() ? absl::OkStatus() : Open(lanes);
   }
   absl::Status OpenFour() { return Open({{0, 100, 1, ""}, {1, 101, 1, ""}, {2, 102, 1, ""}, {3, 103, 1, ""}}); }
-  absl::Status Error() const { return health_->ErrorOf(server_->address()); }
+  absl::Status Error() const { return health_->Of(server_->address()).error; }
   std::string Snapshot() {
     EnvClient client(good_.Connect(), SampleHello(50), kFrameBytes);
     EXPECT_THAT(client.Connect(absl::Seconds(5)), IsOk());

@@ -8,7 +8,6 @@
 namespace craftfleet {
 namespace {
 
-// ReactionTo ends the process at a code that the table lacks.
 TEST(ErrorPolicy, NoReplyOfAnEnvironmentServerEndsAnActorWhateverItsCode) {
   for (int code = 1; code <= 16; ++code) {
     const absl::Status error(static_cast<absl::StatusCode>(code), "");
@@ -16,7 +15,7 @@ TEST(ErrorPolicy, NoReplyOfAnEnvironmentServerEndsAnActorWhateverItsCode) {
   }
 }
 
-TEST(ErrorPolicy, ARefusedTokenIsRetriedExceptAtTheFirstJoin) {
+TEST(ErrorPolicy, ARefusalIsRetriedExceptAtTheFirstJoin) {
   for (const absl::Status& error : {absl::PermissionDeniedError(""), absl::UnauthenticatedError("")}) {
     EXPECT_EQ(ReactionTo(CallKind::kJoin, error), Reaction::kEnd);
     for (const CallKind called : {CallKind::kPlay, CallKind::kWeights, CallKind::kSnapshot}) {

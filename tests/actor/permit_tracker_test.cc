@@ -17,8 +17,7 @@ HeldPermit Held(int lane, int64_t fragment = 0) { return {{lane, fragment, 10}, 
 
 TEST(PermitTracker, UsesSomeLoopsOnly) {
   PermitTracker tracker(3);
-  tracker.SetTile(2);
-  tracker.UseLoops(2);
+  tracker.Distribute(/*tile=*/2, /*loops=*/2);
   for (int lane = 0; lane < 8; ++lane) tracker.Add({{lane, 0, 0}, 1});
   EXPECT_EQ(tracker.Take(0).size(), 4U);  // lanes 0, 1, 4 and 5
   EXPECT_EQ(tracker.Take(1).size(), 4U);
@@ -26,7 +25,7 @@ TEST(PermitTracker, UsesSomeLoopsOnly) {
 
 TEST(PermitTracker, LanesOfOneTileGoToOneLoop) {
   PermitTracker tracker(2);
-  tracker.SetTile(4);
+  tracker.Distribute(/*tile=*/4, /*loops=*/2);
   for (int lane = 0; lane < 16; ++lane) tracker.Add(Held(lane));
   std::vector<int> lanes[2];
   for (int loop = 0; loop < 2; ++loop) {
@@ -146,7 +145,7 @@ TEST(PermitTracker, GivesEachPermitToOneLoopAcrossThreads) {
   constexpr int kLanes = 64;
   constexpr int64_t kFragments = 50;
   PermitTracker tracker(kLoops);
-  tracker.SetTile(2);
+  tracker.Distribute(/*tile=*/2, kLoops);
   std::vector<std::set<HeldPermit>> played(kLoops);
   std::vector<std::thread> loops;
   loops.reserve(kLoops);

@@ -69,8 +69,9 @@ class StandInLearner {
                  &fragments_),
         server_(*wire::Server::Create({address}, {&service_})) {}
 
-  void Open(int64_t iteration) {
-    Publish(iteration);
+  void Open(int64_t iteration) { Open(iteration, SampleWeights(iteration, agent_)); }
+  void Open(int64_t iteration, std::string weights) {
+    Publish(iteration, std::move(weights));
     registry_.OpenIteration((iteration + 1) * kFragmentsPerIteration, iteration);
   }
   // Returns the fragments of the open iteration, in order; fewer if they don't arrive within a minute.
@@ -86,8 +87,9 @@ class StandInLearner {
     });
     return fragments;
   }
-  void Publish(int64_t version) {
-    weights_.Publish(version, std::make_shared<HostWeights>(SampleWeights(version, agent_)));
+  void Publish(int64_t version) { Publish(version, SampleWeights(version, agent_)); }
+  void Publish(int64_t version, std::string weights) {
+    weights_.Publish(version, std::make_shared<HostWeights>(std::move(weights)));
   }
   // The outstanding permits of each actor. Empties the fragment queue, so that actors can continue.
   std::vector<int> OutstandingPermits() {

@@ -63,8 +63,6 @@ namespace grpc {
   template <>                     \
   class SerializationTraits<Message, void> : public craftfleet::v1::BoundedTraits<Message> {}
 CRAFTFLEET_BOUND(google::protobuf::MessageLite);
-CRAFTFLEET_BOUND(craftfleet::v1::WatchRequest);
-CRAFTFLEET_BOUND(craftfleet::v1::StatusReply);
 CRAFTFLEET_BOUND(craftfleet::v1::PlayReply);
 CRAFTFLEET_BOUND(craftfleet::v1::LearnerMessage);
 CRAFTFLEET_BOUND(craftfleet::v1::WeightsRequest);

@@ -24,7 +24,6 @@
 #include <absl/time/time.h>
 
 #include "actor/env_client.h"
-#include "actor/fragment_builder.h"
 #include "common/base/check.h"
 #include "common/base/clock.h"
 #include "common/config/config.h"
@@ -313,16 +312,20 @@ class GamePlayer {
 
 // A fragment of `steps` steps of a game. No actor is named.
 v1::FragmentMessage PlayFragment(const std::string& server, int steps, FrameFormat frames) {
-  FragmentBuilder builder;
   GamePlayer player(server, /*number=*/1, /*lanes=*/1, frames);
-  builder.Start(/*epoch=*/0, /*lane=*/0, /*number=*/0, /*policy_version=*/0, steps, kFrameBytes, frames);
+  Fragment fragment;
+  fragment.frame_format = frames;
   for (int step = 0; step < steps; ++step) {
-    builder.Append(player.observation(), Action{1}, -2.5F, 0.5F, 0, StepEnd::kNone);
+    fragment.frames += player.observation();
     player.Step();
   }
-  LaneSnapshot snapshot;
-  snapshot.game = SealSnapshot(/*env_digest=*/0, std::string(kSnapshotBytes, 's'));
-  return wire::ToProto(builder.Finish(/*bootstrap_value=*/0, std::move(snapshot)));
+  fragment.actions.assign(steps, '\1');
+  fragment.log_probs.assign(steps, -2.5F);
+  fragment.values.assign(steps, 0.5F);
+  fragment.rewards.assign(steps, 0);
+  fragment.ends.assign(steps, StepEnd::kNone);
+  fragment.snapshot.game = SealSnapshot(/*env_digest=*/0, std::string(kSnapshotBytes, 's'));
+  return wire::ToProto(std::move(fragment));
 }
 
 void MeasureLearner(const ServerProcess& learner, int steps, const ServerProcess& games) {

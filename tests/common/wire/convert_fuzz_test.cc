@@ -129,7 +129,7 @@ TEST(ConvertFuzz, DamagedRepliesAreRefusedOrWellFormed) {
     SCOPED_TRACE(testing::Message() << "seed " << kSeed << ", input " << i);
     v1::PlayReply message;
     if (!message.ParseFromString(Mutate(bytes, &random))) continue;
-    const absl::Status status = wire::FromProto(&message, 3, 12, &batch);
+    const absl::Status status = wire::FromProto(&message, 3, 12, wire::kMaxEpisodeLength, &batch);
     if (!status.ok()) {
       ASSERT_EQ(status.code(), absl::StatusCode::kInvalidArgument);
       ++refused;

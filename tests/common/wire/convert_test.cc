@@ -136,7 +136,7 @@ TEST(ConvertStepBatch, SurvivesARoundTrip) {
   ASSERT_TRUE(received.ParseFromString(message.SerializeAsString()));
   StepBatch batch;
   batch.snapshots = {"left", "from", "before", "!"};
-  ASSERT_THAT(wire::FromProto(&received, 3, 12, &batch), IsOk());
+  ASSERT_THAT(wire::FromProto(&received, 3, 12, 10000, &batch), IsOk());
   const StepBatch wanted = SampleStepBatch();
   EXPECT_EQ(batch.rewards, wanted.rewards);
   EXPECT_EQ(batch.ends, wanted.ends);
@@ -156,7 +156,7 @@ TEST(ConvertStepBatch, ReusedMessagesKeepNothingOfAnEarlierReply) {
   second.ends = {StepEnd::kNone};
   wire::ToProto(&second, &message);
   StepBatch batch = SampleStepBatch();
-  ASSERT_THAT(wire::FromProto(&message, 1, 12, &batch), IsOk());
+  ASSERT_THAT(wire::FromProto(&message, 1, 12, 10000, &batch), IsOk());
   EXPECT_EQ(batch.frames, "one row only");
   EXPECT_EQ(batch.last_frames, "");
   EXPECT_TRUE(batch.episodes.empty());
@@ -171,7 +171,7 @@ TEST_P(WrongReply, IsRefusedByName) {
   wire::ToProto(&sent, &message);
   GetParam().damage(&message);
   StepBatch batch;
-  EXPECT_THAT(wire::FromProto(&message, 3, 12, &batch),
+  EXPECT_THAT(wire::FromProto(&message, 3, 12, 10000, &batch),
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr(GetParam().error)));
 }
 
@@ -186,6 +186,7 @@ const std::vector<Wrong<PlayReply>>& WrongReplies() {
       {"NoLastFrame", [](PlayReply* m) { m->clear_last_frames(); }, "last_frames: 0 bytes, want 12"},
       {"EpisodeMissing", [](PlayReply* m) { m->mutable_episodes()->RemoveLast(); }, "episodes: 1 episodes, want 2"},
       {"EpisodeAtALaterStep", [](PlayReply* m) { m->mutable_episodes(0)->set_step(1); }, "want step 0"},
+      {"EpisodeTooLong", [](PlayReply* m) { m->mutable_episodes(1)->set_length(10001); }, "episodes: length 10001"},
       {"NoAchievements", [](PlayReply* m) { m->mutable_episodes(1)->clear_achievements(); },
        "achievements: 0 counts, want 22"},
       {"SnapshotMissing", [](PlayReply* m) { m->mutable_snapshots()->RemoveLast(); }, "snapshots: 2 snapshots, want 3"},
@@ -209,12 +210,6 @@ TEST(ConvertMoments, SurviveARoundTrip) {
   EXPECT_EQ(message.moments_size(), 1) << "an earlier reply's moments are cleared";
 }
 
-TEST(ConvertMoments, AreUnimplementedOnAnOldServer) {
-  v1::PlayReply message;
-  EXPECT_THAT(wire::MomentsFromProto(&message, 2, 12, 27),
-              StatusIs(absl::StatusCode::kUnimplemented, HasSubstr("upgrade it")));
-}
-
 class WrongMoment : public testing::TestWithParam<Wrong<v1::Moment>> {};
 
 TEST_P(WrongMoment, IsRefusedByName) {
@@ -230,6 +225,7 @@ const std::vector<Wrong<v1::Moment>>& WrongMoments() {
       {"NoFrame", [](v1::Moment* m) { m->clear_frame(); }, "moment.frame: 0 bytes, want 12"},
       {"PictureShort", [](v1::Moment* m) { m->mutable_picture()->pop_back(); }, "moment.picture: 26 bytes, want 27"},
       {"SemanticLong", [](v1::Moment* m) { m->mutable_semantic()->push_back(1); }, "semantic: 4097 bytes, want 4096"},
+      {"CellOfNoKind", [](v1::Moment* m) { m->mutable_semantic()->back() = 19; }, "moment.semantic: a cell that is"},
       {"PlayerLeftOfTheWorld", [](v1::Moment* m) { m->set_player_x(-1); }, "moment.player: at -1, 2, want 0..63"},
       {"PlayerBelowTheWorld", [](v1::Moment* m) { m->set_player_y(64); }, "moment.player: at 61, 64, want 0..63"},
       {"ItemsMissing", [](v1::Moment* m) { m->mutable_inventory()->RemoveLast(); }, "inventory: 15 counts, want 16"},

@@ -48,7 +48,7 @@ TEST(UnwatchedChannel, ATlsHandshakeFinishesWithinAnAttemptToConnect) {
   v1::StatusService::Service service;
   const auto server = Server::Create(options, {&service});
   ASSERT_THAT(server, IsOk());
-  const auto security = ChannelSecurity::Create({tls, "", ""});
+  const auto security = ChannelSecurity::Create({tls, ""});
   ASSERT_THAT(security, IsOk());
   const auto connects = [&] { return ConnectsAtOnce((*server)->address(), *security); };
   EXPECT_TRUE(connects() || connects() || connects()) << "three attempts, as the machine may be busy";
