@@ -8,9 +8,9 @@
 #include "common/process/program.h"
 #include "common/process/shared_flags.h"
 #include "common/telemetry/log.h"
-#include "common/wire/metrics_flags.h"
+#include "common/wire/metrics.h"
 #include "common/wire/server.h"
-#include "common/wire/server_flags.h"
+#include "common/wire/wire_flags.h"
 #include "learner/learner.h"
 #include "learner/ranks/rank_flags.h"
 #include "learner/run_flags.h"
@@ -61,10 +61,10 @@ absl::Status ComputeForRank0(const RankOptions& ranks) {
     SetUpTorchThread();
     return absl::OkStatus();
   };
-  CRAFTFLEET_ASSIGN_OR_RETURN(const wire::MetricsServer::Options metrics_options, wire::MetricsOptionsFromFlags(""));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string metrics_address, wire::MetricsAddressFromFlags(""));
   wire::StatusServiceImpl status("rank", [](v1::StatusReply* reply) { wire::FillUsage(reply->mutable_summary()); });
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<wire::MetricsServer> metrics,
-                              wire::ServeMetrics(metrics_options, &status, [] { return true; }));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<wire::HttpServer> metrics,
+                              wire::ServeMetrics(metrics_address, &status, [] { return true; }));
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<RankWorker> worker, RankWorker::Connect(options));
   const StopSignal signal([&worker] { worker->Stop(); });
   return worker->Run();
@@ -74,8 +74,7 @@ absl::Status Run() {
   CRAFTFLEET_ASSIGN_OR_RETURN(const RankOptions ranks, RankOptionsFromFlags());
   if (ranks.world_size > 1) CRAFTFLEET_RETURN_IF_ERROR(CheckRankDevice());
   if (ranks.rank > 0) return OkIfStopped(ComputeForRank0(ranks));
-  CRAFTFLEET_ASSIGN_OR_RETURN(const wire::MetricsServer::Options metrics_options,
-                              wire::MetricsOptionsFromFlags(wire::kAnyFreePort));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string metrics_address, wire::MetricsAddressFromFlags(wire::kAnyFreePort));
   CRAFTFLEET_ASSIGN_OR_RETURN(Learner::Options options,
                               LearnerOptionsFromFlags(v1::RunConfig::CUDA_UPDATES, wire::kAnyFreePort));
   CRAFTFLEET_RETURN_IF_ERROR(PinCpu(options.config.cpu()));
@@ -85,15 +84,8 @@ absl::Status Run() {
   options.ranks = ranks;
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<Learner> learner, Learner::Create(options));
   StopSignal signal([&learner] { learner->Stop(); });
-  if (const std::string warning = SlowMathWarning(); !warning.empty()) LogWarning("%s", warning);
-  CRAFTFLEET_RETURN_IF_ERROR(LogRunStart(*learner, options.logdir));
-  CRAFTFLEET_ASSIGN_OR_RETURN(
-      const std::unique_ptr<wire::MetricsServer> metrics,
-      wire::ServeMetrics(metrics_options, &learner->status(), [&learner] { return learner->serving(); }));
-  const absl::Status status = learner->Run();
-  if (!status.ok()) return OkIfStopped(status);
-  LogRunEnd(*learner);
-  return absl::OkStatus();
+  return OkIfStopped(
+      RunWithMessages(learner.get(), options.logdir, metrics_address, [&learner] { return learner->Run(); }));
 }
 
 }  // namespace

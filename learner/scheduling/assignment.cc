@@ -41,17 +41,17 @@ std::vector<Permit> Assignment::Grant(int64_t policy_version, int64_t ahead, Lan
 
 std::vector<Permit> Assignment::GrantOverdue(LaneActor* actor) {
   std::vector<Permit> granted;
-  if (!options_.is_asynchronous && !actor->permits.empty()) return granted;
+  if (!is_asynchronous_ && !actor->permits.empty()) return granted;
   // Asynchronous play leaves no actor without work.
   const int capacity = CapacityOf(*actor);
-  const int most = options_.is_asynchronous ? capacity : std::min(capacity, FairShares().Most());
+  const int most = is_asynchronous_ ? capacity : std::min(capacity, FairShares().Most());
   const absl::Time now = clock_->Now();
   std::string first;  // of those granted
   for (LaneState& lane : table_->lanes()) {
     if (static_cast<int>(actor->permits.size()) >= most) break;
     const absl::Duration age = now - lane.since;
     if (!lane.permit.has_value() || age <= overdue_.Limit()) continue;
-    const bool is_its_turn = age > overdue_.Limit() + options_.patience || IsPreferred(lane, *actor);
+    const bool is_its_turn = age > overdue_.Limit() + kPatience || IsPreferred(lane, *actor);
     if (!is_its_turn || lane.IsPlayedBy(*actor) || IsAvoided(lane, *actor, now)) continue;
     const LaneState::Player& last = lane.players.back();
     if (granted.empty()) {
@@ -82,7 +82,7 @@ Assignment::Claim Assignment::ClaimOn(const LaneState& lane, const LaneActor& ac
   if (lane.holder == &actor) return Claim::kOwn;
   const bool spare = lane.holder == nullptr || shares.IsOver(*lane.holder);
   if (spare && actor.held() < shares.Of(actor)) return Claim::kSpare;
-  return now - lane.since > options_.patience ? Claim::kUnclaimed : Claim::kNone;
+  return now - lane.since > kPatience ? Claim::kUnclaimed : Claim::kNone;
 }
 
 const Assignment::Shares& Assignment::FairShares() {
@@ -140,7 +140,7 @@ void Assignment::PauseLate(const LaneState& lane, const LaneActor& sender) {
 void Assignment::GiveToOthers(LaneActor* actor, LaneState* lane) {
   table_->Revoke(actor, lane);
   lane->avoided = actor->worker->name;
-  lane->avoided_until = clock_->Now() + options_.avoidance;
+  lane->avoided_until = clock_->Now() + avoidance_;
 }
 
 bool Assignment::SetPaused(bool paused) {
@@ -175,7 +175,7 @@ bool Assignment::HasOtherClients(const LaneActor& actor) const {
 }
 
 bool Assignment::HasJustReturned(const LaneActor& actor) const {
-  return table_->actors().size() > 1 && clock_->Now() - actor.returned <= options_.patience;
+  return table_->actors().size() > 1 && clock_->Now() - actor.returned <= kPatience;
 }
 
 bool Assignment::IsAvoided(const LaneState& lane, const LaneActor& actor, absl::Time now) const {

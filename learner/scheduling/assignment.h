@@ -16,11 +16,11 @@ namespace craftfleet {
 
 // An actor gets its fair share of the lanes: first those that it played before (it holds their games), then lanes
 // without a holder or whose holder has more than its share, and finally any lane that has been unclaimed for
-// `Options::patience`. Shares differ by at most one lane, except for actors that can't play that many. While there are
-// other actors, an actor that returns permits because it can't play them gets no new ones for `patience`.
+// `kPatience`. Shares differ by at most one lane, except for actors that can't play that many. While there are other
+// actors, an actor that returns permits because it can't play them gets no new ones for as long.
 //
 // A fragment that is overdue (Overdue) since it was last granted is also granted to an actor without work, whatever its
-// players report: at first only to one of another client, after one more `patience` to any. All players produce the
+// players report: at first only to one of another client, after one more `kPatience` to any. All players produce the
 // same bytes, and the first result counts; the others are told that they have lost the permit. A player that was
 // overdue then gets no permits for 1 s, doubling up to 5 min, and after that one at a time until a fragment of its is
 // accepted.
@@ -28,18 +28,12 @@ namespace craftfleet {
 // Not thread-safe.
 class Assignment {
  public:
-  struct Options {
-    absl::Duration patience = absl::Seconds(1);
-    absl::Duration avoidance =
-        absl::Seconds(5);                       // how long others are preferred to an actor that could not play a lane
-    absl::Duration overdue = absl::Seconds(3);  // no fragment is overdue earlier,
-    absl::Duration overdue_at_first = absl::Seconds(20);  // or this early if none has been accepted yet
-    bool is_asynchronous = false;                         // so that no actor without work waits for the others
-  };
+  static constexpr absl::Duration kPatience = absl::Seconds(1);
 
-  // The pointers outlive it.
-  Assignment(const Options& options, LaneTable* table, Clock* clock)
-      : options_(options), table_(table), clock_(clock), overdue_(options.overdue, options.overdue_at_first) {}
+  // For `avoidance` others are preferred to an actor that could not play a lane. `is_asynchronous`: no actor without
+  // work waits for the others. The pointers outlive it.
+  Assignment(absl::Duration avoidance, bool is_asynchronous, LaneTable* table, Clock* clock)
+      : avoidance_(avoidance), is_asynchronous_(is_asynchronous), table_(table), clock_(clock) {}
 
   // New permits for `actor` with `policy_version`, up to its capacity and its share, and at most `ahead`.
   std::vector<Permit> Grant(int64_t policy_version, int64_t ahead, LaneActor* actor);
@@ -86,10 +80,11 @@ class Assignment {
   // Pauses those players of the lane for which its fragment was overdue when `sender` finished it.
   void PauseLate(const LaneState& lane, const LaneActor& sender);
 
-  const Options options_;
+  const absl::Duration avoidance_;
+  const bool is_asynchronous_;
   LaneTable* const table_;
   Clock* const clock_;
-  Overdue overdue_;
+  Overdue overdue_{/*least=*/absl::Seconds(3), /*at_first=*/absl::Seconds(20)};
   Shares shares_;
   int64_t shares_of_ = -1;  // LaneTable::shares() for which `shares_` are
   bool paused_ = false;

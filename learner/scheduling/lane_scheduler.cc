@@ -16,9 +16,7 @@ namespace craftfleet {
 LaneScheduler::LaneScheduler(const Options& options, std::vector<LaneRecord> lanes, Clock* clock)
     : clock_(clock),
       table_(std::move(lanes), clock),
-      assignment_({options.patience, /*avoidance=*/options.lease, options.overdue, options.overdue_at_first,
-                   /*is_asynchronous=*/options.max_staleness > 0},
-                  &table_, clock),
+      assignment_(/*avoidance=*/options.lease, /*is_asynchronous=*/options.max_staleness > 0, &table_, clock),
       rollouts_({options.max_staleness, options.rollout_fragments}, &table_, clock),
       reports_(&table_, &assignment_, &rollouts_, clock) {
   CRAFTFLEET_CHECK(table_.size() == options.lanes);

@@ -33,13 +33,10 @@ class LaneScheduler {
   struct Options {
     int lanes = 16;                              // 1..
     absl::Duration lease = absl::Seconds(5);     // that actors have at least (Worker::lease)
-    absl::Duration patience = absl::Seconds(1);  // Assignment::Options
     absl::Duration comeback = absl::Seconds(2);  // lease left to an actor whose connection broke; at most `lease`
-    absl::Duration overdue = absl::Seconds(3);   // Assignment::Options
-    absl::Duration overdue_at_first = absl::Seconds(20);  // Assignment::Options
-    int resets = 0;                                       // lanes reset while loading
-    int max_staleness = 0;                                // RolloutCutter::Options
-    int64_t rollout_fragments = 1;                        // RolloutCutter::Options
+    int resets = 0;                              // lanes reset while loading
+    int max_staleness = 0;                       // RolloutCutter::Options
+    int64_t rollout_fragments = 1;               // RolloutCutter::Options
   };
   enum class Verdict { kAccepted, kDuplicate, kExpired, kStale };
 

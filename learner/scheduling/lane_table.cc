@@ -161,15 +161,9 @@ absl::StatusOr<LaneSnapshot> LaneTable::Snapshot(int lane, int64_t fragment) con
   return *record.snapshot;
 }
 
-std::vector<LaneRecord> LaneTable::Records() const {
+std::vector<LaneRecord> LaneTable::Records(LaneRecord LaneState::*when) const {
   std::vector<LaneRecord> records;
-  for (const LaneState& lane : lanes_) records.push_back(lane.record);
-  return records;
-}
-
-std::vector<LaneRecord> LaneTable::StartRecords() const {
-  std::vector<LaneRecord> records;
-  for (const LaneState& lane : lanes_) records.push_back(lane.start);
+  for (const LaneState& lane : lanes_) records.push_back(lane.*when);
   return records;
 }
 

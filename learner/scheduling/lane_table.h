@@ -158,9 +158,8 @@ class LaneTable {
   bool IsAcceptedFrom(absl::string_view actor, const Permit& fragment) const;
   // The state before `fragment` of `lane`.   Aborted: the lane is at another fragment.   InvalidArgument: no such lane.
   absl::StatusOr<LaneSnapshot> Snapshot(int lane, int64_t fragment) const;
-  std::vector<LaneRecord> Records() const;
-  // The lanes at the beginning of the iteration.
-  std::vector<LaneRecord> StartRecords() const;
+  // The lanes now; or, with &LaneState::start, at the beginning of the iteration.
+  std::vector<LaneRecord> Records(LaneRecord LaneState::*when = &LaneState::record) const;
   // Information about an actor of the table.
   ActorInfo InfoOf(absl::string_view actor) const;
   // The number of lanes that are being played: that have a permit.

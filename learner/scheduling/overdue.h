@@ -2,8 +2,10 @@
 
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <deque>
+#include <vector>
 
 #include <absl/time/time.h>
 
@@ -21,7 +23,14 @@ class Overdue {
   Overdue(absl::Duration least, absl::Duration at_first) : least_(least), limit_(at_first) {}
 
   // A result has come, `time` after its player got the permit or task.
-  void Add(absl::Duration time);
+  void Add(absl::Duration time) {
+    times_.push_back(time);
+    if (times_.size() > kKept) times_.pop_front();
+    std::vector<absl::Duration> times(times_.begin(), times_.end());
+    const auto middle = times.begin() + static_cast<std::ptrdiff_t>((times.size() - 1) / 2);
+    std::nth_element(times.begin(), middle, times.end());
+    limit_ = std::max(least_, kSeveral * *middle);
+  }
   absl::Duration Limit() const { return limit_; }
 
  private:

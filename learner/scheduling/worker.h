@@ -26,7 +26,7 @@ struct WorkerBuild {
 
 // What the learner knows of the caller of a worker's calls.
 struct WorkerClient {
-  std::string identity = "";  // of its certificate or token (common/wire/access.h); empty: not known
+  std::string identity = "";  // of its certificate (common/wire/access.h); empty: not known
   std::string host = "";      // the address that it calls from, without port (wire::ClientOfPeer)
 
   // What tells clients apart: the identity or, without one, the host.

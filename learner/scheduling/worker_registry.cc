@@ -25,7 +25,7 @@ WorkerRegistry::WorkerRegistry(const Options& options, std::vector<LaneRecord> l
     : options_(options),
       clock_(clock),
       first_generation_(absl::ToUnixMicros(clock->WallNow())),
-      workers_({options.lanes.lease, options.name_lapse, options.max_names_per_client}, first_generation_, clock),
+      workers_(options.names, options.lanes.lease, first_generation_, clock),
       reports_(first_generation_, options.server_lease, &workers_, clock),
       lanes_(options.lanes, std::move(lanes), clock),
       evaluations_(clock),
@@ -227,18 +227,11 @@ std::string WorkerRegistry::WaitsFor() const {
 
 // -- Permits, fragments and evaluations.
 
-std::optional<absl::StatusOr<WorkerRegistry::PermitReply>> WorkerRegistry::StartPermits(const PermitRequest& request) {
+std::optional<absl::StatusOr<WorkerRegistry::PermitReply>> WorkerRegistry::TryPermits(const PermitRequest& request,
+                                                                                      bool first, bool last) {
   const MutexLock lock(&mu_);
   PermitReply reply;
-  if (absl::Status status = ReportAndRenew(request, &reply); !status.ok()) return status;
-  if (!TryGrant(request, &reply)) return std::nullopt;
-  return Complete(request, std::move(reply));
-}
-
-std::optional<absl::StatusOr<WorkerRegistry::PermitReply>> WorkerRegistry::RetryPermits(const PermitRequest& request,
-                                                                                        bool last) {
-  const MutexLock lock(&mu_);
-  PermitReply reply;
+  if (first) CRAFTFLEET_RETURN_IF_ERROR(ReportAndRenew(request, &reply));
   if (!TryGrant(request, &reply) && !last) return std::nullopt;
   return Complete(request, std::move(reply));
 }
@@ -280,8 +273,8 @@ absl::StatusOr<WorkerRegistry::PermitReply> WorkerRegistry::Complete(const Permi
     if (!request.wants_servers || server.answers || server.hangs || server.slow) reports_.Add(server);
   }
   reply.finished = finished_;
-  reply.resting = lanes_.assignment().paused() || actor->draining;
-  if (request.evaluates && request.evaluation == 0 && !reply.resting) {
+  const bool may_evaluate = !lanes_.assignment().paused() && !actor->draining;
+  if (request.evaluates && request.evaluation == 0 && may_evaluate) {
     const bool is_late = lanes_.table().InfoOf(request.actor).late;
     reply.evaluation = evaluations_.Take(request.actor, actor->lease, actor->client.Name(), is_late);
   }

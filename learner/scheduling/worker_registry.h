@@ -42,8 +42,7 @@ class WorkerRegistry {
   struct Options {
     LaneScheduler::Options lanes;  // its lease also applies to evaluations
     absl::Duration server_lease = absl::Seconds(8);
-    absl::Duration name_lapse = absl::Seconds(20);  // at least twice the longest lease of an actor
-    int max_names_per_client = 2048;                // owned by one identity from one host at a time
+    WorkerTable::Options names = {};
     BuildCheck::Options build = {};
   };
   struct WorkerId {
@@ -75,7 +74,6 @@ class WorkerRegistry {
     std::vector<Permit> granted;
     std::vector<Permit> lost;  // those of `active` that lapsed, whether or not another actor has them now
     bool finished = false;     // the run is over
-    bool resting = false;      // the run is paused or the actor is being drained, so it gets no work
     std::optional<EvaluationTable::Task> evaluation;
     int64_t servers_generation = 0;
     std::vector<std::string> servers;  // addresses of its list, if the actor's generation is outdated
@@ -138,15 +136,14 @@ class WorkerRegistry {
   // Makes an actor active, or renews its lease.   FailedPrecondition: as BuildCheck::Check.
   absl::Status Join(const WorkerClient& client, absl::string_view actor, absl::string_view address,
                     const WorkerBuild& build) ABSL_LOCKS_EXCLUDED(mu_);
-  // Renews the actor's lease and permits, and grants it more. nullopt: there is nothing to grant; call RetryPermits
-  // once the registry has changed, and at the latest after `request.wait`, as the `last` time, which always gives a
-  // reply.
+  // Renews the actor's lease and permits, the `first` time, and grants it more. nullopt: there is nothing to grant;
+  // call it again once the registry has changed, and at the latest after `request.wait`, as the `last` time, which
+  // always gives a reply.
   //   Aborted: the actor is unknown or has left, and must join (again).   Unavailable: Close was called.
   //   Cancelled: the client disconnected.
-  std::optional<absl::StatusOr<PermitReply>> StartPermits(const PermitRequest& request) ABSL_LOCKS_EXCLUDED(mu_);
-  std::optional<absl::StatusOr<PermitReply>> RetryPermits(const PermitRequest& request, bool last)
+  std::optional<absl::StatusOr<PermitReply>> TryPermits(const PermitRequest& request, bool first, bool last)
       ABSL_LOCKS_EXCLUDED(mu_);
-  // Called, with the lock held, after each change that may let RetryPermits give a reply to `actor`; empty: to any.
+  // Called, with the lock held, after each change that may let TryPermits give a reply to `actor`; empty: to any.
   using Observer = std::function<void(absl::string_view actor)>;
   void SetObserver(Observer observer) ABSL_LOCKS_EXCLUDED(mu_);  // null: none
   // The connection of a `stream` of `actor` broke: shortens its lease to `comeback`, unless it has sent a request on a
@@ -210,12 +207,12 @@ class WorkerRegistry {
   // Nothing: status pages do not show the worker.
   std::optional<WorkerInfo> InfoOf(const Worker& worker) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
 
-  // The parts of StartPermits. Notes failures and renews the actor's lease, permits and evaluation.   Errors as
-  // StartPermits.
+  // The parts of TryPermits. Notes failures and renews the actor's lease, permits and evaluation.   Errors as
+  // TryPermits.
   absl::Status ReportAndRenew(const PermitRequest& request, PermitReply* reply) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // Grants what there is. Returns whether the request need not wait longer.
   bool TryGrant(const PermitRequest& request, PermitReply* reply) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
-  // Notes the rest of the request and fills in the rest of the reply.   Errors as StartPermits.
+  // Notes the rest of the request and fills in the rest of the reply.   Errors as TryPermits.
   absl::StatusOr<PermitReply> Complete(const PermitRequest& request, PermitReply reply)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // Wakes calls of `actor` that wait for permits; empty: all, and those that wait for the last actor to leave.

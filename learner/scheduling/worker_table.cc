@@ -19,7 +19,7 @@ absl::string_view NameOf(WorkerRole role) { return role == WorkerRole::kActor ? 
 
 absl::Status NotTheOwner(absl::string_view what, absl::string_view name, absl::Duration lapse) {
   return absl::PermissionDeniedError(
-      absl::StrFormat("%s \"%s\" belongs to another certificate or token: the name is free %s after its owner's last "
+      absl::StrFormat("%s \"%s\" belongs to another certificate: the name is free %s after its owner's last "
                       "call",
                       what, name, absl::FormatDuration(lapse)));
 }
@@ -110,7 +110,7 @@ absl::Status WorkerTable::CheckRoomForName(WorkerRole role, absl::string_view na
   }
   if (names >= kMaxNames) {
     return absl::ResourceExhaustedError(
-        absl::StrFormat("%s \"%s\": the same certificate or token already has %d names, which is the most it may have",
+        absl::StrFormat("%s \"%s\": the same certificate already has %d names, which is the most it may have",
                         NameOf(role), name, names));
   }
   if (names_here >= options_.max_names_per_client) {
@@ -232,7 +232,7 @@ WorkerHealth WorkerTable::HealthOf(const Worker& worker) const {
   if (now - worker.slow < kRelayed) return WorkerHealth::kSlow;
   // A server that is silent is shown as lost before it is no longer listed.
   const absl::Duration lease = worker.role == WorkerRole::kActor ? worker.lease : worker.lease * 5 / 8;
-  const absl::Duration silence = worker.own_report == kNever ? kRelayed : std::max(options_.actor_lease, lease);
+  const absl::Duration silence = worker.own_report == kNever ? kRelayed : std::max(actor_lease_, lease);
   return now - worker.last_seen < silence ? WorkerHealth::kOk : WorkerHealth::kLost;
 }
 

@@ -45,15 +45,14 @@ class WorkerTable {
   static constexpr absl::Duration kRelayed = absl::Seconds(10);
 
   struct Options {
-    absl::Duration actor_lease = absl::Seconds(5);
     absl::Duration name_lapse = absl::Seconds(20);  // at least twice the longest lease of an actor
     int max_names_per_client = 2048;                // owned by one identity from one host at a time
   };
   using Key = std::pair<WorkerRole, std::string>;
 
   // `generation`: see ServerLists. `clock` outlives the table.
-  WorkerTable(const Options& options, int64_t generation, Clock* clock)
-      : options_(options), clock_(clock), lists_(generation) {}
+  WorkerTable(const Options& options, absl::Duration actor_lease, int64_t generation, Clock* clock)
+      : options_(options), actor_lease_(actor_lease), clock_(clock), lists_(generation) {}
 
   const std::map<Key, Worker>& workers() const { return workers_; }
   // Null: no such worker.
@@ -83,8 +82,6 @@ class WorkerTable {
   void ExpireServers();
   // Lets lists have `server`, or no longer, by its state.
   void ListServer(const Worker& server);
-  // The servers that have registered, by address; some are gone.
-  const std::map<std::string, Worker*, std::less<>>& servers() const { return servers_; }
   ServerLists& lists() { return lists_; }
   const ServerLists& lists() const { return lists_; }
 
@@ -104,9 +101,10 @@ class WorkerTable {
   void Erase(Worker* worker);
 
   const Options options_;
+  const absl::Duration actor_lease_;
   Clock* const clock_;
   std::map<Key, Worker> workers_;
-  std::map<std::string, Worker*, std::less<>> servers_;  // those that report themselves, by address
+  std::map<std::string, Worker*, std::less<>> servers_;  // those that have registered, by address; some are gone
   ServerLists lists_;                                    // of the active servers
   absl::Time pruned_ = absl::InfinitePast();
 };

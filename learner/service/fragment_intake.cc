@@ -2,13 +2,16 @@
 
 #include <string>
 #include <utility>
+#include <vector>
 
+#include <absl/base/casts.h>
+#include <absl/hash/hash.h>
 #include <absl/strings/str_format.h>
+#include <absl/strings/string_view.h>
 
 #include "common/base/printable.h"
 #include "common/base/status_macros.h"
 #include "common/wire/fragment_check.h"
-#include "common/wire/fragment_digest.h"
 #include "common/wire/request_check.h"
 #include "common/wire/status_service.h"
 
@@ -28,7 +31,26 @@ v1::FragmentVerdict::Verdict VerdictToProto(LaneScheduler::Verdict verdict) {
   return v1::FragmentVerdict::VERDICT_UNSPECIFIED;
 }
 
+// For exact comparison: as numbers, -0 and 0 are equal.
+template <typename T>
+absl::string_view BytesOf(const std::vector<T>& values) {
+  return {reinterpret_cast<const char*>(values.data()), values.size() * sizeof(T)};
+}
+
 }  // namespace
+
+uint64_t FragmentDigest(const Fragment& fragment) {
+  uint64_t digest = absl::HashOf(fragment.lane, fragment.number, fragment.policy_version, fragment.frames,
+                                 fragment.actions, BytesOf(fragment.log_probs), BytesOf(fragment.values),
+                                 BytesOf(fragment.rewards), BytesOf(fragment.ends), BytesOf(fragment.truncation_values),
+                                 absl::bit_cast<uint32_t>(fragment.bootstrap_value), BytesOf(fragment.states),
+                                 fragment.snapshot.game, BytesOf(fragment.snapshot.state));
+  for (const Episode& episode : fragment.episodes) {
+    digest = absl::HashOf(digest, episode.step, episode.length, absl::bit_cast<uint64_t>(episode.reward),
+                          episode.achievements);
+  }
+  return digest;
+}
 
 absl::StatusOr<v1::FragmentVerdict> FragmentIntake::Receive(const WorkerClient& client, v1::FragmentMessage* message) {
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckName("actor", message->actor()));
@@ -76,7 +98,7 @@ absl::StatusOr<v1::FragmentVerdict::Verdict> FragmentIntake::Take(const WorkerCl
   }
   fragment.scenes = std::move(scenes);
   fragment.sender = message->actor();
-  fragment.digest = wire::FragmentDigest(fragment);
+  fragment.digest = FragmentDigest(fragment);
   CRAFTFLEET_ASSIGN_OR_RETURN(
       const LaneScheduler::Verdict verdict,
       parts_.registry->Accept(fragment.sender, {fragment.lane, fragment.number, fragment.policy_version},

@@ -7,15 +7,20 @@
 
 #include <absl/status/statusor.h>
 
+#include "common/base/types.h"
 #include "common/wire/convert.h"
 #include "craftfleet/v1/learner.pb.h"
 #include "craftfleet/v1/status.pb.h"
 #include "learner/scheduling/worker_registry.h"
+#include "learner/training/fragments/fragment_collector.h"
 #include "learner/training/fragments/fragment_frames.h"
-#include "learner/training/fragments/fragment_queue.h"
 #include "learner/training/weight_store.h"
 
 namespace craftfleet {
+
+// A digest of a fragment's content, which must be equal for two actors that play the same fragment: covers everything
+// but the epoch and the fields that the learner sets. Compare digests within one process only. Thread-safe.
+uint64_t FragmentDigest(const Fragment& fragment);
 
 // Asks the registry whether a fragment is wanted, checks and converts it, and passes it to the trainer. Thread-safe.
 class FragmentIntake {

@@ -15,8 +15,6 @@
 #include "common/wire/protocol.h"
 #include "common/wire/request_check.h"
 #include "common/wire/status_service.h"
-#include "learner/service/actor_stream.h"
-#include "learner/service/weight_stream.h"
 #include "learner/service/worker_page.h"
 
 namespace craftfleet {
@@ -37,6 +35,13 @@ void AddPermits(const std::vector<Permit>& permits, google::protobuf::RepeatedPt
     message->set_policy_version(permit.policy_version);
     message->set_reload(permit.reload);
   }
+}
+
+// Answers a short call at once.
+grpc::ServerUnaryReactor* Finish(grpc::CallbackServerContext* context, const absl::Status& status) {
+  grpc::ServerUnaryReactor* const reactor = context->DefaultReactor();
+  reactor->Finish(wire::ToGrpc(status));
+  return reactor;
 }
 
 // Whether the registry refused a client because of its name, or of its number of names.
@@ -63,20 +68,12 @@ LearnerServiceImpl::LearnerServiceImpl(const Options& options, WorkerRegistry* r
       waiting_for_permits_.Retry(actor);
     }
   });
-  weights_->SetObserver([this] { waiting_for_weights_.Retry(); });
 }
 
-LearnerServiceImpl::~LearnerServiceImpl() {
-  registry_->SetObserver(nullptr);
-  weights_->SetObserver(nullptr);
-}
-
-absl::Duration LearnerServiceImpl::WaitTime(int wait_ms) {
-  return std::clamp(absl::Milliseconds(wait_ms), absl::ZeroDuration(), kLongestWait);
-}
+LearnerServiceImpl::~LearnerServiceImpl() { registry_->SetObserver(nullptr); }
 
 WorkerClient LearnerServiceImpl::ClientOf(const grpc::ServerContextBase& context) const {
-  return {wire::Identify(options_.access.get(), context), wire::ClientOfPeer(context.peer())};
+  return {wire::Identify(context), wire::ClientOfPeer(context.peer())};
 }
 
 absl::Status LearnerServiceImpl::NameActor(const grpc::ServerContextBase& context, absl::string_view name) {
@@ -96,60 +93,25 @@ void LearnerServiceImpl::WarnRefused(const grpc::ServerContextBase& context, abs
   worker_refusals_.Warn(ClientOf(context).Name(), text);
 }
 
-template <typename Request, typename Reply>
-grpc::ServerUnaryReactor* LearnerServiceImpl::Finish(grpc::CallbackServerContext* context, const Request& request,
-                                                     Reply* reply) {
-  grpc::ServerUnaryReactor* const reactor = context->DefaultReactor();
-  reactor->Finish(wire::ToGrpc(Answer(*context, request, reply)));
-  return reactor;
-}
-
 grpc::ServerUnaryReactor* LearnerServiceImpl::Join(grpc::CallbackServerContext* context, const v1::JoinRequest* request,
                                                    v1::JoinReply* reply) {
-  return Finish(context, *request, reply);
-}
-
-grpc::ServerUnaryReactor* LearnerServiceImpl::GetSnapshot(grpc::CallbackServerContext* context,
-                                                          const v1::SnapshotRequest* request,
-                                                          v1::SnapshotReply* reply) {
-  return Finish(context, *request, reply);
-}
-
-grpc::ServerUnaryReactor* LearnerServiceImpl::FinishEvaluation(grpc::CallbackServerContext* context,
-                                                               const v1::EvaluationResult* request,
-                                                               v1::EvaluationReply* reply) {
-  return Finish(context, *request, reply);
-}
-
-grpc::ServerUnaryReactor* LearnerServiceImpl::Announce(grpc::CallbackServerContext* context,
-                                                       const v1::Announcement* request, v1::AnnounceReply* reply) {
-  return Finish(context, *request, reply);
-}
-
-grpc::ServerUnaryReactor* LearnerServiceImpl::Leave(grpc::CallbackServerContext* context,
-                                                    const v1::LeaveRequest* request, v1::LeaveReply* reply) {
-  return Finish(context, *request, reply);
-}
-
-absl::Status LearnerServiceImpl::Answer(const grpc::ServerContextBase& context, const v1::JoinRequest& request,
-                                        v1::JoinReply* reply) {
   const wire::Handshake ours = {wire::kProtocolVersion, options_.run_id, ""};
-  const wire::Handshake theirs = {request.protocol_version(), request.run_id(), ""};
+  const wire::Handshake theirs = {request->protocol_version(), request->run_id(), ""};
   if (absl::Status status = wire::CheckHandshake("learner", ours, "actor", theirs); !status.ok()) {
-    WarnRefused(context, absl::StrFormat("actor %s refused: %s", request.actor(), status.message()));
-    return status;
+    WarnRefused(*context, absl::StrFormat("actor %s refused: %s", request->actor(), status.message()));
+    return Finish(context, status);
   }
-  absl::Status status = wire::CheckJoin(request);
-  if (status.ok() && request.only_ask()) status = NameActor(context, request.actor());
-  if (status.ok() && !request.only_ask()) {
-    const WorkerClient client = ClientOf(context);
-    status = LogRefusal(client, registry_->Join(client, request.actor(), request.address(),
-                                                {request.build(), request.canary(), request.cpu()}));
+  absl::Status status = wire::CheckJoin(*request);
+  if (status.ok() && request->only_ask()) status = NameActor(*context, request->actor());
+  if (status.ok() && !request->only_ask()) {
+    const WorkerClient client = ClientOf(*context);
+    status = LogRefusal(client, registry_->Join(client, request->actor(), request->address(),
+                                                {request->build(), request->canary(), request->cpu()}));
     if (status.code() == absl::StatusCode::kFailedPrecondition) {
-      WarnRefused(context, absl::StrFormat("refused %s", status.message()));
+      WarnRefused(*context, absl::StrFormat("refused %s", status.message()));
     }
   }
-  if (!status.ok()) return status;
+  if (!status.ok()) return Finish(context, status);
   reply->set_run_id(options_.run_id);
   reply->set_epoch(options_.epoch);
   *reply->mutable_config() = options_.config;
@@ -158,14 +120,7 @@ absl::Status LearnerServiceImpl::Answer(const grpc::ServerContextBase& context, 
   reply->set_program_version(std::string(ProgramVersion()));
   reply->set_game_canary(registry_->builds()->GameCanary());
   frames_.AddFormats(reply);
-  return absl::OkStatus();
-}
-
-grpc::ServerBidiReactor<v1::ActorMessage, v1::LearnerMessage>* LearnerServiceImpl::Play(
-    grpc::CallbackServerContext* context) {
-  const auto stream = std::make_shared<ActorStream>(this, context);
-  stream->Start(stream);
-  return stream.get();
+  return Finish(context, absl::OkStatus());
 }
 
 absl::Status LearnerServiceImpl::CheckAllowed(const grpc::ServerContextBase& context) const {
@@ -213,7 +168,7 @@ WorkerRegistry::PermitRequest LearnerServiceImpl::ToRequest(WorkerClient client,
     asked.failures.push_back({failure.lane(), failure.fragment(), failure.reason()});
   }
   asked.capacity = request.capacity();
-  asked.wait = WaitTime(request.wait_ms());
+  asked.wait = std::min(absl::Milliseconds(request.wait_ms()), kLongestWait);
   asked.evaluates = request.evaluates();
   asked.evaluation = request.evaluation();
   asked.wants_servers = request.wants_env_servers();
@@ -224,29 +179,6 @@ WorkerRegistry::PermitRequest LearnerServiceImpl::ToRequest(WorkerClient client,
     if (wire::CheckServerReport(server).ok()) asked.servers.push_back(ToServerReport(server));
   }
   return asked;
-}
-
-grpc::ServerWriteReactor<v1::WeightsChunk>* LearnerServiceImpl::GetWeights(grpc::CallbackServerContext* context,
-                                                                           const v1::WeightsRequest* request) {
-  auto* const stream = new WeightStream(this, context);
-  stream->Start(*request);
-  return stream;
-}
-
-absl::StatusOr<WeightStore::Weights> LearnerServiceImpl::FindWeights(const v1::WeightsRequest& request) const {
-  if (request.evaluation() != 0) {
-    std::shared_ptr<const PolicyWeights> weights = registry_->evaluations()->Weights(request.evaluation());
-    if (weights == nullptr) {
-      return absl::AbortedError(absl::StrFormat("evaluation task %d is over", request.evaluation()));
-    }
-    return WeightStore::Weights{0, std::move(weights), {}, {}};
-  }
-  WeightStore::Weights weights = weights_->Find(request.at_least());
-  if (weights.weights == nullptr || weights.version < request.at_least()) {
-    return absl::DeadlineExceededError(absl::StrFormat("policy version %d is not available yet, the latest is %d",
-                                                       request.at_least(), weights.version));
-  }
-  return weights;
 }
 
 v1::EvaluationTask LearnerServiceImpl::ToProto(const EvaluationTable::Task& task) const {
@@ -261,59 +193,62 @@ v1::EvaluationTask LearnerServiceImpl::ToProto(const EvaluationTable::Task& task
   return message;
 }
 
-absl::Status LearnerServiceImpl::Answer(const grpc::ServerContextBase& /*context*/, const v1::SnapshotRequest& request,
-                                        v1::SnapshotReply* reply) {
-  if (absl::Status status = CheckEpoch(request.epoch()); !status.ok()) return status;
-  absl::StatusOr<LaneSnapshot> snapshot = registry_->lanes()->table().Snapshot(request.lane(), request.fragment());
-  if (!snapshot.ok()) return snapshot.status();
+grpc::ServerUnaryReactor* LearnerServiceImpl::GetSnapshot(grpc::CallbackServerContext* context,
+                                                          const v1::SnapshotRequest* request,
+                                                          v1::SnapshotReply* reply) {
+  if (absl::Status status = CheckEpoch(request->epoch()); !status.ok()) return Finish(context, status);
+  absl::StatusOr<LaneSnapshot> snapshot = registry_->lanes()->table().Snapshot(request->lane(), request->fragment());
+  if (!snapshot.ok()) return Finish(context, snapshot.status());
   *reply = wire::ToProto(*std::move(snapshot));
-  return absl::OkStatus();
+  return Finish(context, absl::OkStatus());
 }
 
-absl::Status LearnerServiceImpl::Answer(const grpc::ServerContextBase& context, const v1::EvaluationResult& request,
-                                        v1::EvaluationReply* /*reply*/) {
-  if (absl::Status status = CheckEpoch(request.epoch()); !status.ok()) return status;
-  if (absl::Status status = NameActor(context, request.actor()); !status.ok()) return status;
-  const absl::StatusOr<std::vector<Episode>> episodes = wire::FromProto(request, options_.shape.max_length);
+grpc::ServerUnaryReactor* LearnerServiceImpl::FinishEvaluation(grpc::CallbackServerContext* context,
+                                                               const v1::EvaluationResult* request,
+                                                               v1::EvaluationReply* /*reply*/) {
+  if (absl::Status status = CheckEpoch(request->epoch()); !status.ok()) return Finish(context, status);
+  if (absl::Status status = NameActor(*context, request->actor()); !status.ok()) return Finish(context, status);
+  const absl::StatusOr<std::vector<Episode>> episodes = wire::FromProto(*request, options_.shape.max_length);
   const absl::Status status =
-      episodes.ok() ? registry_->FinishEvaluation(request.actor(), request.id(), *episodes) : episodes.status();
+      episodes.ok() ? registry_->FinishEvaluation(request->actor(), request->id(), *episodes) : episodes.status();
   if (!status.ok()) {
-    WarnRefused(context, absl::StrFormat("evaluation by actor %s refused: %s", request.actor(), status.message()));
+    WarnRefused(*context, absl::StrFormat("evaluation by actor %s refused: %s", request->actor(), status.message()));
   }
-  return status;
+  return Finish(context, status);
 }
 
-absl::Status LearnerServiceImpl::Answer(const grpc::ServerContextBase& context, const v1::Announcement& request,
-                                        v1::AnnounceReply* reply) {
+grpc::ServerUnaryReactor* LearnerServiceImpl::Announce(grpc::CallbackServerContext* context,
+                                                       const v1::Announcement* request, v1::AnnounceReply* reply) {
   const wire::Handshake ours = {wire::kProtocolVersion, "", options_.texture_digest};
-  const wire::Handshake theirs = {request.protocol_version(), "", request.texture_digest()};
-  const WorkerClient client = ClientOf(context);
+  const wire::Handshake theirs = {request->protocol_version(), "", request->texture_digest()};
+  const WorkerClient client = ClientOf(*context);
   absl::Status status = wire::CheckHandshake("learner", ours, "environment server", theirs);
-  if (status.ok()) status = wire::CheckAnnouncement(request);
-  if (status.ok() && request.leaving()) {
-    status = LogRefusal(client, registry_->Leave(client, WorkerRole::kEnvServer, request.name(), request.address()));
+  if (status.ok()) status = wire::CheckAnnouncement(*request);
+  if (status.ok() && request->leaving()) {
+    status = LogRefusal(client, registry_->Leave(client, WorkerRole::kEnvServer, request->name(), request->address()));
   } else if (status.ok()) {
-    status = LogRefusal(
-        client, registry_->Announce(client, request.name(), request.address(), request.summary().lanes(),
-                                    {request.build(), request.canary(), /*cpu=*/""}, KeepSummary(request.summary())));
+    status =
+        LogRefusal(client, registry_->Announce(client, request->name(), request->address(), request->summary().lanes(),
+                                               {request->build(), request->canary(), /*cpu=*/""},
+                                               KeepSummary(request->summary())));
   }
   if (!status.ok() && !IsAboutNames(status)) {
-    WarnRefused(context, absl::StrFormat("environment server %s refused: %s", request.name(), status.message()));
+    WarnRefused(*context, absl::StrFormat("environment server %s refused: %s", request->name(), status.message()));
   }
-  if (!status.ok()) return status;
+  if (!status.ok()) return Finish(context, status);
   reply->set_run_id(options_.run_id);
   reply->set_lease_ms(static_cast<int>(absl::ToInt64Milliseconds(registry_->server_lease())));
-  return absl::OkStatus();
+  return Finish(context, absl::OkStatus());
 }
 
-absl::Status LearnerServiceImpl::Answer(const grpc::ServerContextBase& context, const v1::LeaveRequest& request,
-                                        v1::LeaveReply* /*reply*/) {
-  absl::Status status = wire::CheckName("actor", request.actor());
+grpc::ServerUnaryReactor* LearnerServiceImpl::Leave(grpc::CallbackServerContext* context,
+                                                    const v1::LeaveRequest* request, v1::LeaveReply* /*reply*/) {
+  absl::Status status = wire::CheckName("actor", request->actor());
   if (status.ok()) {
-    const WorkerClient client = ClientOf(context);
-    status = LogRefusal(client, registry_->Leave(client, WorkerRole::kActor, request.actor()));
+    const WorkerClient client = ClientOf(*context);
+    status = LogRefusal(client, registry_->Leave(client, WorkerRole::kActor, request->actor()));
   }
-  return status;
+  return Finish(context, status);
 }
 
 std::vector<WorkerRegistry::WorkerInfo> LearnerServiceImpl::FillStatus(v1::StatusReply* reply) const {

@@ -20,14 +20,14 @@
 #include "craftfleet/v1/status.pb.h"
 #include "learner/scheduling/worker_registry.h"
 #include "learner/service/fragment_intake.h"
+#include "learner/training/fragments/fragment_collector.h"
 #include "learner/training/fragments/fragment_frames.h"
-#include "learner/training/fragments/fragment_queue.h"
 #include "learner/training/weight_store.h"
 
 namespace craftfleet {
 
-// Implements LearnerService (learner.proto). Thread-safe. The pointers must outlive it; registry and weights have no
-// other observer.
+// Implements LearnerService (learner.proto). Thread-safe. The pointers must outlive it; the registry has no other
+// observer.
 class LearnerServiceImpl final : public v1::LearnerService::CallbackService {
  public:
   struct Options {
@@ -44,7 +44,7 @@ class LearnerServiceImpl final : public v1::LearnerService::CallbackService {
     absl::Duration reply_timeout = wire::StreamWatch::kTakesReply;
     // Streams at once from one address, of which each actor has one, and one more while it downloads weights; further
     // ones: RESOURCE_EXHAUSTED.
-    int max_streams_per_client = 2 * WorkerRegistry::Options().max_names_per_client;
+    int max_streams_per_client = 2 * WorkerTable::Options().max_names_per_client;
   };
 
   LearnerServiceImpl(const Options& options, WorkerRegistry* registry, WeightStore* weights, FragmentQueue* fragments);
@@ -68,24 +68,8 @@ class LearnerServiceImpl final : public v1::LearnerService::CallbackService {
   std::vector<WorkerRegistry::WorkerInfo> FillStatus(v1::StatusReply* reply) const;
 
  private:
-  friend class ActorStream;
-  friend class WeightStream;
-
-  // How long a call that asks for `wait_ms` may wait.
-  static absl::Duration WaitTime(int wait_ms);
-
-  // The short calls.
-  absl::Status Answer(const grpc::ServerContextBase& context, const v1::JoinRequest& request, v1::JoinReply* reply);
-  absl::Status Answer(const grpc::ServerContextBase& context, const v1::SnapshotRequest& request,
-                      v1::SnapshotReply* reply);
-  absl::Status Answer(const grpc::ServerContextBase& context, const v1::EvaluationResult& request,
-                      v1::EvaluationReply* reply);
-  absl::Status Answer(const grpc::ServerContextBase& context, const v1::Announcement& request,
-                      v1::AnnounceReply* reply);
-  absl::Status Answer(const grpc::ServerContextBase& context, const v1::LeaveRequest& request, v1::LeaveReply* reply);
-  // Answers a short call at once.
-  template <typename Request, typename Reply>
-  grpc::ServerUnaryReactor* Finish(grpc::CallbackServerContext* context, const Request& request, Reply* reply);
+  class ActorStream;
+  class WeightStream;
 
   absl::Status CheckEpoch(int64_t epoch) const;
   // Aborted: another epoch.   InvalidArgument: a field is out of its range; logged.
@@ -94,9 +78,6 @@ class LearnerServiceImpl final : public v1::LearnerService::CallbackService {
   WorkerRegistry::PermitRequest ToRequest(WorkerClient client, const v1::PermitRequest& request) const;
   void FillPermits(const WorkerRegistry::PermitReply& given, v1::PermitReply* reply) const;
   v1::EvaluationTask ToProto(const EvaluationTable::Task& task) const;
-  // Their version is 0 if they are an evaluation's.
-  //   Aborted: the evaluation is over.   DeadlineExceeded: the version is not available yet.
-  absl::StatusOr<WeightStore::Weights> FindWeights(const v1::WeightsRequest& request) const;
   // Whether the client of a stream may go on.   Errors as wire::AccessControl::Check.
   absl::Status CheckAllowed(const grpc::ServerContextBase& context) const;
   // FragmentIntake::Receive; logs what was refused.
@@ -123,7 +104,6 @@ class LearnerServiceImpl final : public v1::LearnerService::CallbackService {
   LimitedLog worker_refusals_;
   wire::StreamWatch streams_;
   WaitingCalls waiting_for_permits_;
-  WaitingCalls waiting_for_weights_;
 };
 
 }  // namespace craftfleet

@@ -133,8 +133,8 @@ absl::Status Trainer::RunIteration() {
   Begin();
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<Fragment> fragments, Collect());
   // Those of an asynchronous run have already advanced, and some may be reset.
-  std::vector<LaneRecord> lanes = is_asynchronous() ? parts_.registry->lanes()->table().StartRecords()
-                                                    : parts_.registry->lanes()->table().Records();
+  std::vector<LaneRecord> lanes =
+      parts_.registry->lanes()->table().Records(is_asynchronous() ? &LaneState::start : &LaneState::record);
   if (config_.overlap() > 0 && has_steps_left(1)) {
     parts_.registry->lanes()->rollouts().OpenIteration(LastFragment(counters_.iteration + 1), counters_.policy_version);
     next_is_open_ = true;

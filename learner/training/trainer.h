@@ -28,7 +28,6 @@
 #include "learner/training/distributed/rank_leader.h"
 #include "learner/training/evaluation_planner.h"
 #include "learner/training/fragments/fragment_collector.h"
-#include "learner/training/fragments/fragment_queue.h"
 #include "learner/training/records/checkpoint_requests.h"
 #include "learner/training/records/checkpoint_writer.h"
 #include "learner/training/records/disk_wait.h"

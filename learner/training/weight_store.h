@@ -5,7 +5,6 @@
 #include <cstddef>
 #include <cstdint>
 #include <deque>
-#include <functional>
 #include <memory>
 #include <utility>
 
@@ -34,7 +33,6 @@ class WeightStore {
     const MutexLock lock(&mu_);
     if (newest_.size() == kept_) newest_.pop_front();
     newest_.push_back({version, std::move(weights), values, value_scale});
-    if (observer_ != nullptr) observer_();
   }
 
   // The weights of `version` if they are kept, otherwise the latest, which may be older.
@@ -52,16 +50,9 @@ class WeightStore {
     return newest_.front();
   }
 
-  // `observer` is called, with the lock held, at each Publish; null: none.
-  void SetObserver(std::function<void()> observer) ABSL_LOCKS_EXCLUDED(mu_) {
-    const MutexLock lock(&mu_);
-    observer_ = std::move(observer);
-  }
-
  private:
   const size_t kept_;
   mutable Mutex mu_;
-  std::function<void()> observer_ ABSL_GUARDED_BY(mu_);
   std::deque<Weights> newest_ ABSL_GUARDED_BY(mu_);  // the latest last
 };
 

@@ -13,11 +13,14 @@
 #include <absl/status/statusor.h>
 
 #include "common/base/clock.h"
+#include "common/base/closable_queue.h"
 #include "common/base/types.h"
 #include "learner/scheduling/worker_registry.h"
-#include "learner/training/fragments/fragment_queue.h"
 
 namespace craftfleet {
+
+// The accepted fragments on their way from the streams that receive them; bounded by the number of permits.
+using FragmentQueue = ClosableQueue<Fragment>;
 
 // Waits for the fragments of an iteration, whose permits are open, and drops those of lanes that were reset in the
 // meantime. Owned by the training thread.

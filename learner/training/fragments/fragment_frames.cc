@@ -4,6 +4,7 @@
 #include <absl/strings/string_view.h>
 
 #include "common/base/status_macros.h"
+#include "common/config/known_canary.h"
 #include "envserver/render/built_in_renderer.h"
 #include "envserver/render/scene_record.h"
 
@@ -11,7 +12,7 @@ namespace craftfleet {
 
 FragmentFrames::FragmentFrames(const v1::RunConfig& config, const std::string& texture_digest)
     : frame_bytes_(3 * static_cast<size_t>(config.env().frame_size()) * config.env().frame_size()) {
-  if (!HasBuiltInTextures(texture_digest)) return;
+  if (texture_digest != kBuiltInTextures) return;
   const auto renderer = BuiltInRenderer(config.env().name(), config.env().frame_size());
   if (renderer.ok()) renderer_ = *renderer;
 }

@@ -22,7 +22,7 @@ class BusyFleet {
     options.lanes.lanes = actors;
     options.lanes.lease = absl::Hours(1);
     options.server_lease = absl::Hours(1);
-    options.max_names_per_client = 4 * actors;
+    options.names.max_names_per_client = 4 * actors;
     const SharedSnapshot snapshot(std::string(12000, 's'), {});
     registry =
         std::make_unique<WorkerRegistry>(options, std::vector<LaneRecord>(actors, {0, snapshot, snapshot}), &clock_);
@@ -58,8 +58,7 @@ class BusyFleet {
     request.capacity = actors_;
     request.wants_servers = true;
     request.servers_generation = generations_[actor];
-    auto given = registry->StartPermits(request);
-    if (!given.has_value()) given = registry->RetryPermits(request, /*last=*/true);
+    auto given = registry->TryPermits(request, /*first=*/true, /*last=*/true);
     WorkerRegistry::PermitReply reply = (*given).value_or(WorkerRegistry::PermitReply());
     generations_[actor] = reply.servers_generation;
     if (!reply.granted.empty()) permits_[actor] = reply.granted;

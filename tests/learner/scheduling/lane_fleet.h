@@ -23,7 +23,7 @@ class LaneFleet {
  public:
   explicit LaneFleet(int lanes, int64_t fragments = 1) : LaneFleet(std::vector<LaneRecord>(lanes), fragments) {}
   LaneFleet(const std::vector<LaneRecord>& records, int64_t last_fragment)
-      : registry({static_cast<int>(records.size()), absl::Seconds(5), absl::Seconds(1)}, records, &clock) {
+      : registry({static_cast<int>(records.size()), absl::Seconds(5)}, records, &clock) {
     registry.OpenIteration(last_fragment, kVersion);
   }
 

@@ -162,8 +162,8 @@ TEST_F(ResetTest, AnotherClientConfirmsAReport) {
   EXPECT_EQ(scheduler_.table().counters.resets, 2) << "nobody else can play";
 }
 
-TEST_F(ResetTest, WithOneTokenForAllAnotherActorConfirmsAReport) {
-  for (const char* actor : {"a", "b", "c"}) scheduler_.Join(actor, "token of all");
+TEST_F(ResetTest, WithOneCertificateForAllAnotherActorConfirmsAReport) {
+  for (const char* actor : {"a", "b", "c"}) scheduler_.Join(actor, "certificate of all");
   Refuse("b", 6);
   clock_.Advance(absl::Seconds(1));
   Refuse("c", 6);

@@ -29,7 +29,7 @@ class RegistryNamesTest : public testing::Test {
   static WorkerRegistry::Options Options() {
     WorkerRegistry::Options options;
     options.lanes.lanes = 1;
-    options.name_lapse = kLapse;
+    options.names.name_lapse = kLapse;
     return options;
   }
   static WorkerRole RoleOf(absl::string_view role) {
@@ -106,16 +106,16 @@ TEST_F(RegistryNamesTest, TheNamesOfAnIdentityAreBounded) {
 TEST_F(RegistryNamesTest, MadeUpServersOfOneClientAreBoundedAndTakeNothingFromOthers) {
   const WorkerClient one = {"", "10.0.0.1"};
   const WorkerClient two = {"", "10.0.0.2"};
-  const WorkerClient token = {"\"servers\"", "10.0.0.1"};
+  const WorkerClient certificate = {"certificate servers", "10.0.0.1"};
   EXPECT_THAT(Announce("honest", one), IsOk());
-  const int most = WorkerRegistry::Options().max_names_per_client;
+  const int most = WorkerTable::Options().max_names_per_client;
   ASSERT_GE(most, 512) << "a host may run hundreds of servers, and restart them at once";
   for (int i = 1; i < most; ++i) ASSERT_THAT(Announce(absl::StrCat("s", i), one), IsOk());
   EXPECT_THAT(Announce("more", one), StatusIs(absl::StatusCode::kResourceExhausted,
                                               AllOf(HasSubstr("\"more\""), HasSubstr("10.0.0.1 already has 2048"))));
   EXPECT_THAT(Announce("honest", one), IsOk());
   EXPECT_THAT(Announce("more", two), IsOk());
-  EXPECT_THAT(Announce("secured", token), IsOk()) << "another identity on the same host";
+  EXPECT_THAT(Announce("secured", certificate), IsOk()) << "another identity on the same host";
   EXPECT_EQ(registry_.Workers().size(), most + 2);
   EXPECT_THAT(registry_.Leave(one, WorkerRole::kEnvServer, "s1"), IsOk());
   EXPECT_THAT(Announce("another", one), IsOk()) << "one left";

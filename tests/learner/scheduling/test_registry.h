@@ -38,11 +38,11 @@ class TestRegistry : public WorkerRegistry {
   void Leave(absl::string_view actor) { WorkerRegistry::Leave({}, WorkerRole::kActor, actor).IgnoreError(); }
   // Waits up to `request.wait` while there is nothing to grant.
   absl::StatusOr<Grant> GetPermits(const PermitRequest& request) {
-    std::optional<absl::StatusOr<Grant>> grant = StartPermits(request);
+    std::optional<absl::StatusOr<Grant>> grant = TryPermits(request, /*first=*/true, /*last=*/false);
     const absl::Time deadline = SteadyNow() + request.wait;
     while (!grant.has_value()) {
       const bool is_last = SteadyNow() >= deadline;
-      grant = RetryPermits(request, is_last);
+      grant = TryPermits(request, /*first=*/false, is_last);
       if (!grant.has_value()) absl::SleepFor(absl::Milliseconds(1));
     }
     return *std::move(grant);
@@ -59,7 +59,7 @@ class TestRegistry : public WorkerRegistry {
 
   // Those of the parts.
   std::vector<LaneRecord> Records() const { return lanes()->table().Records(); }
-  std::vector<LaneRecord> StartRecords() const { return lanes()->table().StartRecords(); }
+  std::vector<LaneRecord> StartRecords() const { return lanes()->table().Records(&LaneState::start); }
   std::vector<LaneActor> Actors() const {
     const LaneTable::ActorMap all = lanes()->table().actors();
     std::vector<LaneActor> actors;

@@ -47,9 +47,7 @@ class WaitingPermitsTest : public testing::Test {
     waiters_->Add(
         [this, request = TestRegistry::RequestOf(actor, {}, kLanes), answer = std::move(answer),
          started = false](bool last) mutable {
-          std::optional<Reply> reply;
-          if (!std::exchange(started, true)) reply = registry_.StartPermits(request);
-          if (!reply.has_value()) reply = registry_.RetryPermits(request, last);
+          std::optional<Reply> reply = registry_.TryPermits(request, !std::exchange(started, true), last);
           if (reply.has_value()) answer(*std::move(reply));
           return reply.has_value();
         },

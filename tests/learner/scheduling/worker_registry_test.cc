@@ -68,7 +68,6 @@ TEST_F(WorkerRegistryTest, ADrainedActorIsNotAssignedAnEvaluation) {
   ASSERT_TRUE(reply.evaluation.has_value());
   EXPECT_FALSE(registry_.IsDrained("a"));
   const WorkerRegistry::PermitReply playing = Ask(Question("a", reply.evaluation->id));
-  EXPECT_TRUE(playing.resting);
   EXPECT_FALSE(playing.evaluation.has_value());
   EXPECT_THAT(registry_.FinishEvaluation("a", reply.evaluation->id, std::vector<Episode>(1)), IsOk());
   EXPECT_FALSE(Ask(Question("a")).evaluation.has_value()) << "the other task is for other actors";

@@ -128,6 +128,41 @@ TEST_F(LearnerServiceTest, AFragmentReachesTheTrainerUnchanged) {
             SampleFragment(1, 0, kPublishedVersion).snapshot);
 }
 
+TEST(FragmentDigest, CoversTheContentButNotEpochAndSender) {
+  const Fragment fragment = SampleFragment(2, 7, 40);
+  const uint64_t digest = FragmentDigest(fragment);
+  Fragment same = SampleFragment(2, 7, 40, /*epoch=*/9);
+  same.sender = "another";
+  same.digest = 17;
+  EXPECT_EQ(FragmentDigest(same), digest);
+  const std::vector<std::function<void(Fragment*)>> changes = {
+      [](Fragment* f) { f->lane = 1; },
+      [](Fragment* f) { ++f->number; },
+      [](Fragment* f) { ++f->policy_version; },
+      [](Fragment* f) { f->frames[0] ^= 1; },
+      [](Fragment* f) { f->frames.back() ^= 1; },
+      [](Fragment* f) { f->actions[4] ^= 1; },
+      [](Fragment* f) { f->log_probs[1] = std::nextafter(f->log_probs[1], 0.0F); },
+      [](Fragment* f) { f->values[1] = -0.0F; },
+      [](Fragment* f) { f->rewards[4] = 0; },
+      [](Fragment* f) { std::swap(f->ends[1], f->ends[2]); },
+      [](Fragment* f) { f->truncation_values[0] = 0; },
+      [](Fragment* f) { f->bootstrap_value = 0; },
+      [](Fragment* f) { f->episodes[0].length = 2; },
+      [](Fragment* f) { f->episodes[0].reward += 1e-12; },
+      [](Fragment* f) { ++f->episodes[1].achievements[21]; },
+      [](Fragment* f) { f->states[0] = 0; },
+      [](Fragment* f) { f->snapshot.game.back() ^= 1; },
+      [](Fragment* f) { f->snapshot.state[1] = 0; },
+      [](Fragment* f) { f->frames += f->actions, f->actions.clear(); },
+  };
+  for (size_t i = 0; i < changes.size(); ++i) {
+    Fragment other = fragment;
+    changes[i](&other);
+    EXPECT_NE(FragmentDigest(other), digest) << i;
+  }
+}
+
 TEST_F(LearnerServiceTest, AFragmentSentTwiceIsAcceptedOnce) {
   Enter("a");
   const auto verdicts = Push({Message("a", 1, 0), Message("a", 1, 0)});

@@ -47,7 +47,6 @@ TEST_F(LearnerServiceTest, AMissingVersionOfTheWeightsIsAnError) {
   grpc::ClientContext context;
   v1::WeightsRequest request;
   request.set_at_least(kPublishedVersion + 1);
-  request.set_wait_ms(10);
   v1::WeightsChunk chunk;
   const auto stream = stub_->GetWeights(&context, request);
   EXPECT_FALSE(stream->Read(&chunk));

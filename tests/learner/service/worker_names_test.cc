@@ -39,7 +39,7 @@ class WorkerNamesTest : public LearnerServiceTest {
   }
   // The calls that follow are of a client with the certificate of `name`.
   void Use(const std::string& name) {
-    const wire::ChannelSecurity security = *wire::ChannelSecurity::Create({Files(name), "", ""});
+    const wire::ChannelSecurity security = *wire::ChannelSecurity::Create({Files(name), ""});
     stub_ = v1::LearnerService::NewStub(wire::Connect(server_->address(), security).channel);
   }
   absl::Status Leave(const std::string& actor) {
