@@ -18,6 +18,7 @@ absl::StatusOr<AgentSpec> MakeAgentSpec(const v1::RunConfig& config) {
   spec.params = params.specs();
   spec.param_count = params.count();
   spec.state_size = static_cast<int>(network.state_size());
+  spec.code_size = static_cast<int>(network.feature_size());
   return spec;
 }
 

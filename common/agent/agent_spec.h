@@ -23,6 +23,7 @@ struct AgentSpec {
   v1::RunConfig::Precision precision = v1::RunConfig::FP32;  // of convolutions and linear layers
   bool acting_stream = false;                                // policies on a GPU compute beside its updates
   int state_size = 0;  // floats of state a lane: h and c of each LSTM, or a memory; 0: none
+  int code_size = 0;   // floats of features (F)
 
   int64_t frame_bytes() const { return int64_t{3} * frame_size * frame_size; }  // of one frame uint8[H,W,3]
 };

@@ -1,18 +1,32 @@
 #include "common/agent/device_snapshot.h"
 
 #include <exception>
+#include <map>
 #include <utility>
 #include <vector>
 
 #include <ATen/ATen.h>
+#include <c10/core/impl/VirtualGuardImpl.h>
 
-#include "common/agent/acting_stream.h"
 #include "common/agent/aligned_weights.h"
 #include "common/agent/device.h"
 #include "common/agent/policy_net.h"
 #include "common/agent/weights.h"
 
 namespace craftfleet {
+
+c10::Stream ActingStream(at::Device device) {
+  static Mutex mu;
+  static auto* const streams = new std::map<c10::DeviceIndex, c10::Stream>;
+  const MutexLock lock(&mu);
+  const auto known = streams->find(device.index());
+  if (known != streams->end()) return known->second;
+  const c10::impl::VirtualGuardImpl guard(device.type());
+  const c10::Stream stream = guard.getStreamFromGlobalPool(device, /*isHighPriority=*/true);
+  return streams->emplace(device.index(), stream).first->second;
+}
+
+c10::Stream CurrentStream(at::Device device) { return c10::impl::VirtualGuardImpl(device.type()).getStream(device); }
 
 DeviceSnapshot::DeviceSnapshot(AgentSpec spec, const at::Tensor& weights)
     : spec_(std::move(spec)), flat_(weights.detach().clone()) {

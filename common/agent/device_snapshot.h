@@ -1,4 +1,5 @@
-// A version of an agent's weights in a device's memory. Includes LibTorch's tensors.
+// A version of an agent's weights in a device's memory, and the streams on which policies and updates compute. Includes
+// LibTorch's tensors and streams, but no header of CUDA.
 
 #pragma once
 
@@ -8,6 +9,7 @@
 
 #include <ATen/core/Tensor.h>
 #include <absl/status/statusor.h>
+#include <c10/core/Device.h>
 #include <c10/core/Event.h>
 #include <c10/core/Stream.h>
 
@@ -17,6 +19,14 @@
 #include "common/base/mutex.h"
 
 namespace craftfleet {
+
+// The stream on which policies compute beside updates: one for each device and process, of high priority, since cuBLAS
+// keeps memory for each stream that it has seen. Updates compute on the device's default stream. Thread-safe. Throws
+// c10::Error.
+c10::Stream ActingStream(at::Device device);
+
+// The stream on which the calling thread computes on `device`.
+c10::Stream CurrentStream(at::Device device);
 
 // Policies on the same device look into it. Bytes are made when somebody first wants them, once for all. Thread-safe.
 class DeviceSnapshot final : public PolicyWeights {

@@ -13,7 +13,6 @@
 #include <c10/core/Stream.h>
 #include <c10/core/StreamGuard.h>
 
-#include "common/agent/acting_stream.h"
 #include "common/agent/aligned_weights.h"
 #include "common/agent/categorical.h"
 #include "common/agent/code_change.h"
@@ -66,15 +65,9 @@ std::optional<PatchGrid> PatchesOf(const AgentSpec& spec) {
 }
 
 // While it lives, the calling thread computes on `stream`; null: as before.
-class OnStream {
- public:
-  explicit OnStream(const c10::Stream* stream) {
-    if (stream != nullptr) guard_.reset_stream(*stream);
-  }
-
- private:
-  c10::OptionalStreamGuard guard_;
-};
+c10::OptionalStreamGuard OnStream(const c10::Stream* stream) {
+  return stream != nullptr ? c10::OptionalStreamGuard(*stream) : c10::OptionalStreamGuard();
+}
 
 absl::Status CheckTile(int tile) {
   if (tile >= 1 && tile <= Policy::kMaxTile) return absl::OkStatus();
@@ -156,7 +149,7 @@ absl::StatusOr<std::unique_ptr<const Policy>> Policy::Make(const AgentSpec& spec
     if (spec.acting_stream && !at::Device(device).is_cpu()) {
       stream = std::make_unique<const c10::Stream>(ActingStream(at::Device(device)));
     }
-    const OnStream on_stream(stream.get());
+    const c10::OptionalStreamGuard guard = OnStream(stream.get());
     std::unique_ptr<const PolicyNet> net = make();
     return std::unique_ptr<const Policy>(
         new Policy(spec, std::move(owner), std::move(net), std::move(stream), tile, device));
@@ -167,19 +160,21 @@ absl::StatusOr<std::unique_ptr<const Policy>> Policy::Make(const AgentSpec& spec
 
 absl::StatusOr<ActResult> Policy::Act(absl::string_view frames, absl::Span<const int> lanes,
                                       absl::Span<const double> noise, absl::Span<float> states) const {
-  if (noise.size() != lanes.size()) {
+  if (!noise.empty() && noise.size() != lanes.size()) {
     return absl::InvalidArgumentError(absl::StrCat(noise.size(), " noise values for ", lanes.size(), " lanes"));
   }
   CRAFTFLEET_ASSIGN_OR_RETURN(Outputs outputs, Evaluate(frames, lanes, states));
   std::copy(outputs.states.begin(), outputs.states.end(), states.begin());
-  return Choose(std::move(outputs), [&](size_t row, const Categorical& odds) { return odds.Sample(noise[row]); });
-}
-
-absl::StatusOr<ActResult> Policy::ActGreedily(absl::string_view frames, absl::Span<const int> lanes,
-                                              absl::Span<float> states) const {
-  CRAFTFLEET_ASSIGN_OR_RETURN(Outputs outputs, Evaluate(frames, lanes, states));
-  std::copy(outputs.states.begin(), outputs.states.end(), states.begin());
-  return Choose(std::move(outputs), [](size_t, const Categorical& odds) { return odds.Greedy(); });
+  ActResult result;
+  for (size_t row = 0; row < lanes.size(); ++row) {
+    const Categorical odds(&outputs.logits[row * kNumActions]);
+    const Action action = noise.empty() ? odds.Greedy() : odds.Sample(noise[row]);
+    result.actions.push_back(action);
+    result.log_probs.push_back(static_cast<float>(odds.log_probs[static_cast<int>(action)]));
+    result.odds.push_back(odds);
+  }
+  result.values = std::move(outputs.values);
+  return result;
 }
 
 absl::StatusOr<std::vector<float>> Policy::Values(absl::string_view frames, absl::Span<const int> lanes,
@@ -198,7 +193,7 @@ absl::StatusOr<AttentionMap> Policy::Attention(absl::string_view frame) const {
   }
   SetUpTorchThread();
   try {
-    const OnStream on_stream(stream_.get());
+    const c10::OptionalStreamGuard guard = OnStream(stream_.get());
     const c10::InferenceMode inference;
     at::Tensor input = at::empty({1, frame_size_, frame_size_, 3});
     ScaleFrames({reinterpret_cast<const uint8_t*>(frame.data())}, frame_bytes_, input.data_ptr<float>());
@@ -210,19 +205,6 @@ absl::StatusOr<AttentionMap> Policy::Attention(absl::string_view frame) const {
   }
 }
 
-ActResult Policy::Choose(Outputs outputs, absl::FunctionRef<Action(size_t, const Categorical&)> choose) {
-  ActResult result;
-  for (size_t row = 0; row < outputs.values.size(); ++row) {
-    const Categorical odds(&outputs.logits[row * kNumActions]);
-    const Action action = choose(row, odds);
-    result.actions.push_back(action);
-    result.log_probs.push_back(static_cast<float>(odds.log_probs[static_cast<int>(action)]));
-    result.odds.push_back(odds);
-  }
-  result.values = std::move(outputs.values);
-  return result;
-}
-
 absl::Status Policy::Remember(absl::string_view before, absl::string_view after, absl::Span<const int> lanes,
                               absl::Span<float> states) const {
   CRAFTFLEET_CHECK(has_memory_);
@@ -231,7 +213,7 @@ absl::Status Policy::Remember(absl::string_view before, absl::string_view after,
   SetUpTorchThread();
   std::vector<float> changes(states.size());
   try {
-    const OnStream on_stream(stream_.get());
+    const c10::OptionalStreamGuard guard = OnStream(stream_.get());
     const c10::InferenceMode inference;
     for (const std::vector<int>& rows : DealRows(lanes, tile_)) {
       const at::Tensor before_codes =
@@ -274,7 +256,7 @@ absl::StatusOr<Policy::Outputs> Policy::Evaluate(absl::string_view frames, absl:
   Outputs outputs{std::vector<float>(lanes.size() * kNumActions), std::vector<float>(lanes.size()),
                   std::vector<float>(states.size())};
   try {
-    const OnStream on_stream(stream_.get());
+    const c10::OptionalStreamGuard guard = OnStream(stream_.get());
     const c10::InferenceMode inference;
     for (const std::vector<int>& rows : DealRows(lanes, tile_)) {
       if (device_ == kCpuDevice) {

@@ -65,18 +65,14 @@ class Policy {
   Policy(const Policy&) = delete;
   Policy& operator=(const Policy&) = delete;
 
-  // Draws the action of each row: frame i of `frames`, uint8[n,H,W,3], was seen on lanes[i] (>= 0), and noise[i], in
-  // [0,1), draws its action (see ActionNoise). A lane may occur more than once.
-  // `states`, float[n,state_size()], is the recurrent state or memory of each row, zero where an episode begins; it
-  // becomes the state after the step, unless the call fails. A memory stays as it is: see Remember.
+  // Chooses the action of each row: frame i of `frames`, uint8[n,H,W,3], was seen on lanes[i] (>= 0), and noise[i], in
+  // [0,1), draws its action (see ActionNoise); without any noise it is the most probable one. A lane may occur more
+  // than once. `states`, float[n,state_size()], is the recurrent state or memory of each row, zero where an episode
+  // begins; it becomes the state after the step, unless the call fails. A memory stays as it is: see Remember.
   //   InvalidArgument: they don't have the same n.   Internal: LibTorch failed, or the output is not finite.   Others,
   //   on a GPU, as ActingDeviceError.
   absl::StatusOr<ActResult> Act(absl::string_view frames, absl::Span<const int> lanes, absl::Span<const double> noise,
                                 absl::Span<float> states) const;
-
-  // The same with the most probable action of each row.
-  absl::StatusOr<ActResult> ActGreedily(absl::string_view frames, absl::Span<const int> lanes,
-                                        absl::Span<float> states) const;
 
   // float[n]: the values alone, for bootstrapping.
   absl::StatusOr<std::vector<float>> Values(absl::string_view frames, absl::Span<const int> lanes,
@@ -114,9 +110,6 @@ class Policy {
   static absl::StatusOr<std::unique_ptr<const Policy>> Make(const AgentSpec& spec, int tile, const std::string& device,
                                                             std::shared_ptr<const void> owner,
                                                             absl::FunctionRef<std::unique_ptr<const PolicyNet>()> make);
-
-  // `choose(row, distribution)` is the action of each row.
-  static ActResult Choose(Outputs outputs, absl::FunctionRef<Action(size_t, const Categorical&)> choose);
 
   absl::StatusOr<Outputs> Evaluate(absl::string_view frames, absl::Span<const int> lanes,
                                    absl::Span<const float> states) const;

@@ -75,15 +75,7 @@ void Apply(Step step, size_t size, const float* __restrict gradient, float* __re
 
 }  // namespace
 
-AdamOptions AdamOptionsOf(const v1::PpoConfig& config) {
-  AdamOptions options;
-  options.learning_rate = config.learning_rate();
-  options.epsilon = config.adam_epsilon();
-  options.max_gradient_norm = config.max_gradient_norm();
-  return options;
-}
-
-double AdamStep(const AdamOptions& options, absl::Span<const ShardGradient> shards, absl::Span<float> weights,
+double AdamStep(const v1::PpoConfig& config, absl::Span<const ShardGradient> shards, absl::Span<float> weights,
                 AdamState* state, WorkerPool* workers) {
   const std::vector<Block> blocks = CutIntoBlocks(shards[0]);
   const int count = static_cast<int>(blocks.size());
@@ -104,14 +96,14 @@ double AdamStep(const AdamOptions& options, absl::Span<const ShardGradient> shar
   if (!std::isfinite(norm)) return norm;
 
   const double t = static_cast<double>(++state->steps);
-  const Step step = {static_cast<float>(std::min(1.0, options.max_gradient_norm / (norm + 1e-6))),
-                     static_cast<float>(options.beta1),
-                     static_cast<float>(1 - options.beta1),
-                     static_cast<float>(options.beta2),
-                     static_cast<float>(1 - options.beta2),
-                     static_cast<float>(options.learning_rate / (1 - std::pow(options.beta1, t))),
-                     static_cast<float>(1 / std::sqrt(1 - std::pow(options.beta2, t))),
-                     static_cast<float>(options.epsilon)};
+  const Step step = {static_cast<float>(std::min(1.0, config.max_gradient_norm() / (norm + 1e-6))),
+                     static_cast<float>(kAdamBeta1),
+                     static_cast<float>(1 - kAdamBeta1),
+                     static_cast<float>(kAdamBeta2),
+                     static_cast<float>(1 - kAdamBeta2),
+                     static_cast<float>(config.learning_rate() / (1 - std::pow(kAdamBeta1, t))),
+                     static_cast<float>(1 / std::sqrt(1 - std::pow(kAdamBeta2, t))),
+                     static_cast<float>(config.adam_epsilon())};
   workers->Run(count, [&](int i) {
     const absl::Span<const float> gradient = part_of(shards[0], i);
     const size_t offset = blocks[i].weights_offset;

@@ -64,21 +64,21 @@ at::Tensor DeviceAdam::Step(const at::Tensor& gradient, const at::Tensor& weight
 void DeviceAdam::StepFused(const Parts& parts, const at::Tensor& norm) {
   device_steps_.add_(1);
   // The gradient is divided by it.
-  const at::Tensor scale = ((norm + 1e-6) / options_.max_gradient_norm).clamp_min(1).to(at::kFloat);
+  const at::Tensor scale = ((norm + 1e-6) / config_.max_gradient_norm()).clamp_min(1).to(at::kFloat);
   at::_fused_adam_({parts.weights}, {parts.gradient}, {parts.exp_avg}, {parts.exp_avg_sq}, {}, {device_steps_},
-                   options_.learning_rate, options_.beta1, options_.beta2, /*weight_decay=*/0, options_.epsilon,
+                   config_.learning_rate(), kAdamBeta1, kAdamBeta2, /*weight_decay=*/0, config_.adam_epsilon(),
                    /*amsgrad=*/false, /*maximize=*/false, scale);
 }
 
 void DeviceAdam::StepApart(const Parts& parts, const at::Tensor& norm) {
   const auto& [gradient, weights, exp_avg, exp_avg_sq] = parts;
-  gradient.mul_((options_.max_gradient_norm / (norm + 1e-6)).clamp_max(1).to(at::kFloat));
+  gradient.mul_((config_.max_gradient_norm() / (norm + 1e-6)).clamp_max(1).to(at::kFloat));
   const auto t = static_cast<double>(steps_);
-  exp_avg.mul_(options_.beta1).add_(gradient, 1 - options_.beta1);
-  exp_avg_sq.mul_(options_.beta2).addcmul_(gradient, gradient, 1 - options_.beta2);
+  exp_avg.mul_(kAdamBeta1).add_(gradient, 1 - kAdamBeta1);
+  exp_avg_sq.mul_(kAdamBeta2).addcmul_(gradient, gradient, 1 - kAdamBeta2);
   const at::Tensor divisor =
-      exp_avg_sq.sqrt().mul_(1 / std::sqrt(1 - std::pow(options_.beta2, t))).add_(options_.epsilon);
-  weights.addcdiv_(exp_avg, divisor, -options_.learning_rate / (1 - std::pow(options_.beta1, t)));
+      exp_avg_sq.sqrt().mul_(1 / std::sqrt(1 - std::pow(kAdamBeta2, t))).add_(config_.adam_epsilon());
+  weights.addcdiv_(exp_avg, divisor, -config_.learning_rate() / (1 - std::pow(kAdamBeta1, t)));
 }
 
 }  // namespace craftfleet

@@ -7,6 +7,7 @@
 #include <ATen/core/Tensor.h>
 #include <c10/core/Device.h>
 
+#include "craftfleet/v1/config.pb.h"
 #include "learner/ppo/adam.h"
 
 namespace craftfleet {
@@ -15,7 +16,8 @@ namespace craftfleet {
 // c10::Error. Used by one thread.
 class DeviceAdam {
  public:
-  explicit DeviceAdam(const AdamOptions& options) : options_(options) {}
+  // The fields of `config` that count: as AdamStep.
+  explicit DeviceAdam(const v1::PpoConfig& config) : config_(config) {}
 
   // Goes on from `state`, whose moments go to `device`, and keeps it.
   void Load(const AdamState& state, at::Device device);
@@ -44,7 +46,7 @@ class DeviceAdam {
   void StepFused(const Parts& parts, const at::Tensor& norm);
   void StepApart(const Parts& parts, const at::Tensor& norm);
 
-  const AdamOptions options_;
+  const v1::PpoConfig config_;
   at::Tensor exp_avg_;
   at::Tensor exp_avg_sq_;
   int64_t steps_ = 0;

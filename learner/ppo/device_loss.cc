@@ -15,7 +15,7 @@ at::Tensor ChosenActions(const at::Tensor& actions) {
 }
 
 DeviceLoss PpoLossOnDevice(const at::Tensor& logits, const at::Tensor& values, const DeviceTargets& targets,
-                           const PpoLossOptions& options) {
+                           const v1::PpoConfig& config) {
   const auto rows = static_cast<double>(values.size(0));
   const at::Tensor log_probs = logits.to(at::kDouble).log_softmax(1);
   const at::Tensor probs = log_probs.exp();
@@ -24,7 +24,7 @@ DeviceLoss PpoLossOnDevice(const at::Tensor& logits, const at::Tensor& values, c
   const at::Tensor log_ratio = ((log_probs * chosen).sum(1) - targets.log_probs).clamp_max(kMaxLogRatio);
   const at::Tensor ratio = log_ratio.exp();
   const at::Tensor plain = advantages * ratio;
-  const at::Tensor clipped = advantages * ratio.clamp(1 - options.clip, 1 + options.clip);
+  const at::Tensor clipped = advantages * ratio.clamp(1 - config.clip(), 1 + config.clip());
   const at::Tensor entropy = -(probs * log_probs).sum(1);
   const at::Tensor value_error = (values - targets.returns).to(at::kDouble);
 
@@ -33,10 +33,10 @@ DeviceLoss PpoLossOnDevice(const at::Tensor& logits, const at::Tensor& values, c
   const at::Tensor by_policy = by_log_prob * (chosen - probs);
   const at::Tensor by_entropy = -probs * (log_probs + entropy.unsqueeze(1));
   DeviceLoss loss;
-  loss.by_logits = ((by_policy - by_entropy * options.entropy_coefficient) / rows).to(at::kFloat);
-  loss.by_values = (value_error * (2 * options.value_coefficient / rows)).to(at::kFloat);
+  loss.by_logits = ((by_policy - by_entropy * config.entropy_coefficient()) / rows).to(at::kFloat);
+  loss.by_values = (value_error * (2 * config.value_coefficient() / rows)).to(at::kFloat);
   loss.means = at::stack({-at::minimum(plain, clipped), value_error.square(), entropy, (ratio - 1) - log_ratio,
-                          (ratio - 1).abs().gt(options.clip).to(at::kDouble)})
+                          (ratio - 1).abs().gt(config.clip()).to(at::kDouble)})
                    .mean(1);
   return loss;
 }

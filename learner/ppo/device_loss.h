@@ -4,6 +4,7 @@
 
 #include <ATen/core/Tensor.h>
 
+#include "craftfleet/v1/config.pb.h"
 #include "learner/ppo/ppo_loss.h"
 
 namespace craftfleet {
@@ -25,9 +26,9 @@ struct DeviceLoss {
 // int64[n] -> double[n,17]: 1 for each row's action, 0 for the others.
 at::Tensor ChosenActions(const at::Tensor& actions);
 
-// Of logits float[n,17] and values float[n], neither with a gradient. In double where PpoLoss is.
+// Of logits float[n,17] and values float[n], neither with a gradient. In double where PpoLoss is; `config` as there.
 DeviceLoss PpoLossOnDevice(const at::Tensor& logits, const at::Tensor& values, const DeviceTargets& targets,
-                           const PpoLossOptions& options);
+                           const v1::PpoConfig& config);
 
 // Normalise (ppo_loss.h) of float[n].
 at::Tensor NormaliseOnDevice(const at::Tensor& advantages);

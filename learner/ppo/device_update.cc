@@ -38,7 +38,7 @@ DeviceUpdate::DeviceUpdate(AgentSpec spec, const v1::RunConfig& config, at::Devi
       corrects_lag_(CorrectsLag(config, spec_.network)),
       device_(device),
       network_(MakeNetwork(spec_.network)),
-      adams_(config.distillation().every_iterations() > 0 ? 3 : 1, DeviceAdam(AdamOptionsOf(config_))) {}
+      adams_(config.distillation().every_iterations() > 0 ? 3 : 1, DeviceAdam(config_)) {}
 
 absl::StatusOr<UpdateStats> DeviceUpdate::Run(const Rollout& rollout, const std::vector<std::vector<Minibatch>>& epochs,
                                               const std::function<bool()>& should_stop, const AfterEpochs& after_epochs,
@@ -202,8 +202,7 @@ at::Tensor DeviceUpdate::RunMinibatch(const DeviceRollout& rollout, const Device
   if (rollout.weights.defined()) advantages = advantages * rollout.weights.index_select(0, rows);
   const DeviceTargets targets = {rollout.actions.index_select(0, rows), rollout.log_probs.index_select(0, rows),
                                  advantages, returns};
-  const DeviceLoss loss = PpoLossOnDevice(output.logits.detach(), output.values.detach(), targets,
-                                          {config_.clip(), config_.value_coefficient(), config_.entropy_coefficient()});
+  const DeviceLoss loss = PpoLossOnDevice(output.logits.detach(), output.values.detach(), targets, config_);
   torch::autograd::backward({output.logits, output.values}, {loss.by_logits, loss.by_values});
   return at::cat({loss.means, adams_[0].Step(weights_.TakeGradient(), weights_.flat).view({1})});
 }

@@ -191,9 +191,9 @@ void GradientShards::ComputeGradient(const Rollout& rollout, const ShardedMiniba
   const auto returns = absl::MakeConstSpan(minibatch.returns).subspan(first, part.rows.size());
   const at::Tensor by_logits = at::empty_like(output.logits);
   const at::Tensor by_values = at::empty_like(output.values);
-  shard->sums = PpoLoss(FloatSpan(output.logits), FloatSpan(output.values), {actions, log_probs, advantages, returns},
-                        {config_.clip(), config_.value_coefficient(), config_.entropy_coefficient()},
-                        static_cast<int>(minibatch.advantages.size()), FloatSpan(by_logits), FloatSpan(by_values));
+  shard->sums =
+      PpoLoss(FloatSpan(output.logits), FloatSpan(output.values), {actions, log_probs, advantages, returns}, config_,
+              static_cast<int>(minibatch.advantages.size()), FloatSpan(by_logits), FloatSpan(by_values));
   torch::autograd::backward({output.logits, output.values}, {by_logits, by_values});
 }
 

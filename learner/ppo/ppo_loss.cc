@@ -17,10 +17,10 @@ void PpoLossSums::Add(const PpoLossSums& other) {
 }
 
 PpoLossSums PpoLoss(absl::Span<const float> logits, absl::Span<const float> values, const PpoTargets& targets,
-                    const PpoLossOptions& options, int rows_in_batch, absl::Span<float> logits_gradient,
+                    const v1::PpoConfig& config, int rows_in_batch, absl::Span<float> logits_gradient,
                     absl::Span<float> values_gradient) {
-  const double low = 1 - options.clip;
-  const double high = 1 + options.clip;
+  const double low = 1 - config.clip();
+  const double high = 1 + config.clip();
   PpoLossSums sums;
   for (size_t row = 0; row < values.size(); ++row) {
     const Categorical policy(&logits[row * kNumActions]);
@@ -37,7 +37,7 @@ PpoLossSums PpoLoss(absl::Span<const float> logits, absl::Span<const float> valu
     sums.value_loss += value_error * value_error;
     sums.entropy += entropy;
     sums.approx_kl += (ratio - 1) - log_ratio;
-    sums.clipped += std::abs(ratio - 1) > options.clip ? 1 : 0;
+    sums.clipped += std::abs(ratio - 1) > config.clip() ? 1 : 0;
 
     // d(policy loss)/d(log probability): the clamp is flat outside its range, where the minimum may choose it.
     const double by_log_prob = plain <= clipped ? -plain : 0;
@@ -45,9 +45,9 @@ PpoLossSums PpoLoss(absl::Span<const float> logits, absl::Span<const float> valu
       const double by_policy = by_log_prob * ((i == action ? 1 : 0) - policy.probs[i]);
       const double by_entropy = -policy.probs[i] * (policy.log_probs[i] + entropy);
       logits_gradient[row * kNumActions + i] =
-          static_cast<float>((by_policy - options.entropy_coefficient * by_entropy) / rows_in_batch);
+          static_cast<float>((by_policy - config.entropy_coefficient() * by_entropy) / rows_in_batch);
     }
-    values_gradient[row] = static_cast<float>(2 * options.value_coefficient * value_error / rows_in_batch);
+    values_gradient[row] = static_cast<float>(2 * config.value_coefficient() * value_error / rows_in_batch);
   }
   return sums;
 }

@@ -5,18 +5,13 @@
 #include <absl/types/span.h>
 
 #include "common/base/crafter.h"
+#include "craftfleet/v1/config.pb.h"
 
 namespace craftfleet {
 
 // Log ratios are cut to this. No policy that learns gets near it, but one actor's made-up log probability of -104 would
 // otherwise overflow the gradient, and twice in a row end the run.
 inline constexpr double kMaxLogRatio = 20;
-
-struct PpoLossOptions {
-  double clip = 0.2;  // of the probability ratio, +-
-  double value_coefficient = 0.5;
-  double entropy_coefficient = 0;
-};
 
 // The loss compares the network's output with these.
 struct PpoTargets {
@@ -39,9 +34,9 @@ struct PpoLossSums {
 
 // Of logits float[n,17] and values float[n]. Writes the gradient of (policy loss + value_coefficient * value loss -
 // entropy_coefficient * entropy) summed over the rows and divided by `rows_in_batch`, so that the gradients of the
-// parts of a minibatch add up to the minibatch's.
+// parts of a minibatch add up to the minibatch's. The fields of `config` that count: clip and the two coefficients.
 PpoLossSums PpoLoss(absl::Span<const float> logits, absl::Span<const float> values, const PpoTargets& targets,
-                    const PpoLossOptions& options, int rows_in_batch, absl::Span<float> logits_gradient,
+                    const v1::PpoConfig& config, int rows_in_batch, absl::Span<float> logits_gradient,
                     absl::Span<float> values_gradient);
 
 // (x - mean) / (standard deviation with n-1, + 1e-8), in place; a single number becomes 0. n > 0.

@@ -20,6 +20,7 @@
 #include "learner/ppo/distillation/sharded_net.h"
 #include "learner/ppo/divergence.h"
 #include "learner/ppo/optimizer_file.h"
+#include "learner/ppo/ppo_loss.h"
 
 namespace craftfleet {
 namespace {
@@ -57,12 +58,6 @@ Minibatch Joined(const std::vector<Minibatch>& parts) {
 
 uint32_t WeightsDigest(const std::vector<float>& weights) {
   return Crc32c({reinterpret_cast<const char*>(weights.data()), weights.size() * sizeof(float)});
-}
-
-// Sums over `rows` rows as means.
-PpoLossSums Means(PpoLossSums sums, size_t rows) {
-  for (double* sum : {&sums.policy_loss, &sums.value_loss, &sums.entropy, &sums.approx_kl, &sums.clipped}) *sum /= rows;
-  return sums;
 }
 
 }  // namespace
@@ -253,12 +248,8 @@ absl::Status PpoUpdater::RunEpoch(const EpochKey& key, const Rollout& rollout, S
   const std::vector<Minibatch> minibatches = MakeMinibatches(key, rollout);
   const bool last_epoch = key.epoch + 1 == config_.epochs();
   for (const Minibatch& minibatch : minibatches) {
-    CRAFTFLEET_ASSIGN_OR_RETURN(const PpoLossSums means, RunMinibatch(rollout, minibatch, start, stats));
-    stats->policy_loss += means.policy_loss;
-    stats->value_loss += means.value_loss;
-    stats->entropy += means.entropy;
-    stats->clip_fraction += means.clipped;
-    if (last_epoch) stats->approx_kl += means.approx_kl / static_cast<double>(minibatches.size());
+    CRAFTFLEET_ASSIGN_OR_RETURN(const double approx_kl, RunMinibatch(rollout, minibatch, start, stats));
+    if (last_epoch) stats->approx_kl += approx_kl / static_cast<double>(minibatches.size());
     ++*count;
     // Several ranks have agreed on it already, with the gradients.
     if (!ranks_.has_value() && should_stop()) return UpdateStopped();
@@ -298,16 +289,20 @@ ShardedMinibatch PpoUpdater::CutForShards(const Rollout& rollout, const Minibatc
   return batch;
 }
 
-absl::StatusOr<PpoLossSums> PpoUpdater::RunMinibatch(const Rollout& rollout, const Minibatch& minibatch,
-                                                     StartOutputs* start, UpdateStats* stats) {
+absl::StatusOr<double> PpoUpdater::RunMinibatch(const Rollout& rollout, const Minibatch& minibatch, StartOutputs* start,
+                                                UpdateStats* stats) {
   const ShardedMinibatch batch = CutForShards(rollout, minibatch, start);
   std::vector<ShardGradient> gradients;
   CRAFTFLEET_ASSIGN_OR_RETURN(const PpoLossSums sums, shards_->ComputeGradients(rollout, batch, &gradients));
-  const double norm =
-      AdamStep(AdamOptionsOf(config_), gradients, absl::MakeSpan(state_.weights), &state_.adam, &workers_);
+  const double norm = AdamStep(config_, gradients, absl::MakeSpan(state_.weights), &state_.adam, &workers_);
   CRAFTFLEET_RETURN_IF_ERROR(CheckGradient(norm, state_.adam.steps + 1));
+  const auto rows = static_cast<double>(batch.advantages.size());
+  stats->policy_loss += sums.policy_loss / rows;
+  stats->value_loss += sums.value_loss / rows;
+  stats->entropy += sums.entropy / rows;
+  stats->clip_fraction += sums.clipped / rows;
   stats->gradient_norm += norm;
-  return Means(sums, batch.advantages.size());
+  return sums.approx_kl / rows;
 }
 
 void PpoUpdater::Restore(State state) {

@@ -23,7 +23,6 @@
 #include "learner/ppo/gradient_shards.h"
 #include "learner/ppo/lag_correction.h"
 #include "learner/ppo/minibatches.h"
-#include "learner/ppo/ppo_loss.h"
 #include "learner/ppo/rank_sums.h"
 #include "learner/ppo/rollout.h"
 #include "learner/ppo/update_state.h"
@@ -125,9 +124,9 @@ class PpoUpdater {
                                            const std::function<bool()>& should_stop);
   // Ends an iteration for the distiller, if there is one.
   void EndDistillation(int64_t iteration, bool succeeded);
-  // One optimiser step; adds its gradient norm to `stats` and returns the means of its losses.
-  absl::StatusOr<PpoLossSums> RunMinibatch(const Rollout& rollout, const Minibatch& minibatch, StartOutputs* start,
-                                           UpdateStats* stats);
+  // One optimiser step. Adds its gradient norm and the means of its losses to `stats`, but returns that of approx_kl.
+  absl::StatusOr<double> RunMinibatch(const Rollout& rollout, const Minibatch& minibatch, StartOutputs* start,
+                                      UpdateStats* stats);
   ShardedMinibatch CutForShards(const Rollout& rollout, const Minibatch& minibatch, StartOutputs* start);
   void Restore(State state);
   // Restore(before), whose weights are in `shared_weights_`.

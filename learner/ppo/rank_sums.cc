@@ -12,13 +12,6 @@
 #include "learner/ppo/update_state.h"
 
 namespace craftfleet {
-namespace {
-
-Few ToFew(const PpoLossSums& sums) {
-  return {sums.policy_loss, sums.value_loss, sums.entropy, sums.approx_kl, sums.clipped};
-}
-
-}  // namespace
 
 RankSums::RankSums(const AgentSpec& spec, int shards, RankGroup* group)
     : params_(spec.param_count), shards_(shards), group_(group) {
@@ -48,7 +41,9 @@ absl::Status RankSums::Add(const absl::Status& own, std::vector<ShardGradient>* 
   if (!own.ok()) terms = {{absl::MakeConstSpan(total_)}};  // the sum, whatever it is, will not be used
   const absl::Span<float> total = absl::MakeSpan(total_);
   std::vector<Few> loss_terms;
-  for (const PpoLossSums& loss : losses) loss_terms.push_back(ToFew(loss));
+  for (const PpoLossSums& loss : losses) {
+    loss_terms.push_back({loss.policy_loss, loss.value_loss, loss.entropy, loss.approx_kl, loss.clipped});
+  }
   Few all{};
   CRAFTFLEET_RETURN_IF_ERROR(group_->AgreeAndSum(is_to_stop() ? UpdateStopped() : own, loss_terms, &all, terms, total));
   *sums = {all[0], all[1], all[2], all[3], all[4]};

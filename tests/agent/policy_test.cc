@@ -14,10 +14,10 @@
 #include <google/protobuf/text_format.h>
 #include <gtest/gtest.h>
 
-#include "common/agent/acting_stream.h"
 #include "common/agent/aligned_weights.h"
 #include "common/agent/device_snapshot.h"
 #include "common/agent/initial_weights.h"
+#include "common/agent/policy_net.h"
 #include "common/agent/weights.h"
 #include "common/base/keyed_random.h"
 #include "tests/agent/golden_agent.h"
@@ -28,6 +28,7 @@ namespace craftfleet {
 namespace {
 
 using testing::ElementsAre;
+using testing::HasSubstr;
 
 constexpr int kFrameBytes = 64 * 64 * 3;
 
@@ -43,7 +44,7 @@ std::unique_ptr<const Policy> InitialPolicy(const AgentSpec& spec, int tile) {
 TEST(Policy, GreedyActionsAndValuesMatchTheGolden) {
   const nlohmann::json golden = ReadGolden("ppo_cnn.json");
   const std::string frames = GoldenFrames(golden["frames"]["seed"], golden["frames"]["n"], 64);
-  const ActResult result = *GoldenPolicy(8)->ActGreedily(frames, {0, 1, 2, 3}, {});
+  const ActResult result = *GoldenPolicy(8)->Act(frames, {0, 1, 2, 3}, /*noise=*/{}, {});
   for (int i = 0; i < 4; ++i) {
     EXPECT_EQ(static_cast<int>(result.actions[i]), golden["forward"]["greedy_actions"][i].get<int>());
     EXPECT_NEAR(result.log_probs[i], golden["forward"]["greedy_log_prob"][i].get<double>(), 1e-5);
@@ -154,7 +155,7 @@ TEST(Policy, RecurrentStatesAdvanceInActButNotInValues) {
   EXPECT_EQ(first.values, values);
   EXPECT_NE(states, zeros);
   std::vector<float> greedy_states = zeros;
-  ASSERT_TRUE(policy->ActGreedily(frames, {0, 1}, absl::MakeSpan(greedy_states)).ok());
+  ASSERT_TRUE(policy->Act(frames, {0, 1}, /*noise=*/{}, absl::MakeSpan(greedy_states)).ok());
   EXPECT_EQ(greedy_states, states);
   const ActResult second = *policy->Act(frames, {0, 1}, {0.5, 0.5}, absl::MakeSpan(states));
   EXPECT_NE(second.log_probs, first.log_probs);  // the same frames, another state
@@ -288,7 +289,8 @@ TEST(Policy, RefusesStatesOfAnotherSize) {
 
 TEST(Policy, RefusesInconsistentInputs) {
   const auto policy = GoldenPolicy(8);
-  EXPECT_EQ(policy->Act(std::string(kFrameBytes, 0), {0}, {}, {}).status().code(), absl::StatusCode::kInvalidArgument);
+  EXPECT_EQ(policy->Act(std::string(kFrameBytes, 0), {0}, {0.5, 0.5}, {}).status().code(),
+            absl::StatusCode::kInvalidArgument);
   EXPECT_THAT(std::string(policy->Values(std::string(100, 0), {0}, {}).status().message()),
               testing::HasSubstr("12288"));
   const AgentSpec spec = *FindAgent("ppo_cnn");

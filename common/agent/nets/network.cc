@@ -28,19 +28,19 @@ ParamInit Orthogonal(double gain) { return {ParamInit::Kind::kOrthogonal, gain};
 }  // namespace
 
 Network::Network(const v1::NetworkConfig& config, ParamList* params) {
-  const int64_t features = AddExtractor(config, params);
+  features_ = AddExtractor(config, params);
   const bool is_residual =
       config.extractor() == v1::NetworkConfig::RESNET || config.extractor() == v1::NetworkConfig::GRID_RESNET;
-  if (config.memory()) memory_size_ = features;
-  const int64_t head_inputs = config.recurrent() ? LstmLayer::kHidden : features + memory_size_;
+  if (config.memory()) memory_size_ = features_;
+  const int64_t head_inputs = config.recurrent() ? LstmLayer::kHidden : features_ + memory_size_;
   action_net_.emplace("action_net", head_inputs, kNumActions, Orthogonal(0.01), Bias::kZero, params);
   value_net_.emplace("value_net", head_inputs, 1, Orthogonal(is_residual ? 0.1 : 1), Bias::kZero, params);
   if (config.recurrent()) {
     const bool lstm_critic = config.critic() == v1::NetworkConfig::LSTM;
-    core_.emplace(features, lstm_critic ? RecurrentCore::Critic::kLstm : RecurrentCore::Critic::kLinear, params);
+    core_.emplace(features_, lstm_critic ? RecurrentCore::Critic::kLstm : RecurrentCore::Critic::kLinear, params);
   }
   // Last, since updates by PPO leave it alone.
-  if (config.goal_predictor()) goal_predictor_.emplace(features, memory_size_, params);
+  if (config.goal_predictor()) goal_predictor_.emplace(features_, memory_size_, params);
 }
 
 int64_t Network::AddExtractor(const v1::NetworkConfig& config, ParamList* params) {

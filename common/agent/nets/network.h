@@ -35,6 +35,9 @@ class Network {
   // Floats of state: recurrent, or the memory; 0: none.
   int64_t state_size() const { return core_.has_value() ? core_->state_size() : memory_size_; }
 
+  // F: floats of features.
+  int64_t feature_size() const { return features_; }
+
   // What the parts compute from the weights alone. `for_gradients`: also what a backward pass needs.
   std::shared_ptr<const PreparedWeights> Prepare(const ParamTensors& params, bool for_gradients,
                                                  const RunTasks& run) const;
@@ -57,6 +60,7 @@ class Network {
   static std::unique_ptr<AttentionPart> MakeObjectModule(const v1::NetworkConfig& config, const std::string& name,
                                                          ParamList* params);
 
+  int64_t features_ = 0;
   std::vector<std::unique_ptr<Part>> parts_;  // from the frames' map to features
   const AttentionPart* attention_ = nullptr;  // of parts_, if there is one
   std::optional<LinearLayer> action_net_;

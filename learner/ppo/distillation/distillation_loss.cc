@@ -4,6 +4,8 @@
 #include <cstddef>
 #include <vector>
 
+#include <absl/strings/str_cat.h>
+
 #include "common/agent/categorical.h"
 #include "learner/ppo/distillation/kept_rollouts.h"
 
@@ -104,6 +106,11 @@ double ContrastiveLoss(absl::Span<const ContrastiveRow> rows, int size, double t
     negative.AddGradient(factor, anchor.values, row.by_negative);
   }
   return sum / static_cast<double>(rows.size());
+}
+
+absl::Status CheckNorm(double norm) {
+  if (std::isfinite(norm)) return absl::OkStatus();
+  return absl::DataLossError(absl::StrCat("distillation: the gradient's norm is ", norm));
 }
 
 double PolicyDivergence(const float* logits, const float* old_logits, double weight, float* by_logits) {

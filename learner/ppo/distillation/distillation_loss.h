@@ -6,6 +6,7 @@
 #include <cstddef>
 #include <vector>
 
+#include <absl/status/status.h>
 #include <absl/types/span.h>
 
 #include "common/base/crafter.h"
@@ -44,6 +45,9 @@ struct DistillationLosses {
   double value = 0;          // squared error of normalised values
   double gradient_norm = 0;  // L2, before clipping
 };
+
+// DataLoss: the norm of a gradient, or a sum of norms, is not finite.
+absl::Status CheckNorm(double norm);
 
 // Three vectors float[F], of any length, and where their gradients are added to; null: the vector is a constant.
 struct ContrastiveRow {

@@ -8,7 +8,6 @@
 #include <absl/status/statusor.h>
 #include <absl/types/span.h>
 
-#include "common/agent/agent_spec.h"
 #include "learner/ppo/distillation/distillation_loss.h"
 #include "learner/ppo/distillation/kept_rollouts.h"
 
@@ -39,11 +38,5 @@ class DistillationNet {
   // The sums over the steps with `loss` since the last call. Waits for a device.   Errors as Step.
   virtual absl::StatusOr<DistillationLosses> TakeLosses(DistillationLoss loss) = 0;
 };
-
-// The size of an agent's features (F).
-int CodeSizeOf(const AgentSpec& spec);
-
-// DataLoss: the norm of a gradient, or a sum of norms, is not finite.
-absl::Status CheckNorm(double norm);
 
 }  // namespace craftfleet

@@ -38,7 +38,7 @@ DistillationSteps::DistillationSteps(const AgentSpec& spec, const v1::RunConfig&
                                      DistillationNet* net)
     : ppo_(config.ppo()),
       temperature_(config.distillation().temperature()),
-      code_size_(CodeSizeOf(spec)),
+      code_size_(spec.code_size),
       rollouts_(rollouts),
       net_(net) {}
 

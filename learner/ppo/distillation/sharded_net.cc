@@ -46,12 +46,7 @@ struct ShardedNet::Shard {
 
 ShardedNet::ShardedNet(const AgentSpec& spec, const v1::RunConfig& config, absl::Span<float> weights,
                        DistillationAdams* adams, WorkerPool* workers)
-    : spec_(spec),
-      options_(AdamOptionsOf(config.ppo())),
-      code_size_(CodeSizeOf(spec)),
-      weights_(weights),
-      adams_(adams),
-      workers_(workers) {
+    : spec_(spec), ppo_(config.ppo()), weights_(weights), adams_(adams), workers_(workers) {
   for (int i = 0; i < config.gradient_shards(); ++i) {
     shards_.push_back(std::make_unique<Shard>(spec_, weights_));
   }
@@ -82,7 +77,7 @@ absl::Status ShardedNet::RunShards(size_t rows, const std::function<void(Shard*,
 }
 
 absl::StatusOr<std::vector<float>> ShardedNet::Codes(absl::Span<const int> rows) {
-  std::vector<float> codes(rows.size() * code_size_);
+  std::vector<float> codes(rows.size() * spec_.code_size);
   CRAFTFLEET_RETURN_IF_ERROR(RunShards(rows.size(), [&](Shard* shard, size_t first, size_t count) {
     const c10::NoGradGuard no_grad;
     for (size_t done = 0; done < count; done += kRowsAtOnce) {
@@ -97,7 +92,7 @@ absl::StatusOr<std::vector<float>> ShardedNet::Changes(absl::Span<const FramePai
   std::vector<int> rows;
   for (const FramePair& pair : pairs) rows.insert(rows.end(), {pair.before, pair.after});
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> codes, Codes(rows));
-  const auto size = static_cast<size_t>(code_size_);
+  const auto size = static_cast<size_t>(spec_.code_size);
   changes_.resize(pairs.size() * size);
   for (size_t i = 0; i < pairs.size(); ++i) {
     const auto of_pair = absl::MakeConstSpan(codes).subspan(2 * i * size, 2 * size);
@@ -118,7 +113,7 @@ absl::StatusOr<std::vector<float>> ShardedNet::Logits(absl::Span<const int> rows
 }
 
 absl::StatusOr<NetNumbers> ShardedNet::Forward(absl::Span<const int> rows, bool predicts) {
-  NetNumbers outputs(rows.size(), code_size_, predicts);
+  NetNumbers outputs(rows.size(), spec_.code_size, predicts);
   const bool has_gradients = c10::GradMode::is_enabled();
   CRAFTFLEET_RETURN_IF_ERROR(RunShards(rows.size(), [&](Shard* shard, size_t first, size_t count) {
     const c10::AutoGradMode mode(has_gradients);
@@ -161,7 +156,7 @@ absl::Status ShardedNet::Backward(const NetNumbers& gradients) {
 double ShardedNet::StepAdam(size_t rows, AdamState* adam) {
   std::vector<ShardGradient> by_shard;
   for (size_t i = 0; i < std::min(shards_.size(), rows); ++i) by_shard.push_back(shards_[i]->net.gradients());
-  return AdamStep(options_, by_shard, weights_, adam, workers_);
+  return AdamStep(ppo_, by_shard, weights_, adam, workers_);
 }
 
 absl::Status ShardedNet::SetOldLogits(std::vector<float> logits) {
@@ -172,7 +167,7 @@ absl::Status ShardedNet::SetOldLogits(std::vector<float> logits) {
 absl::Status ShardedNet::Step(const DistillationStep& step) {
   const bool predicts = step.loss == DistillationLoss::kPrediction;
   CRAFTFLEET_ASSIGN_OR_RETURN(const NetNumbers outputs, Forward(step.rows, predicts));
-  NetNumbers gradients(step.rows.size(), code_size_, predicts);
+  NetNumbers gradients(step.rows.size(), spec_.code_size, predicts);
   const DistillationLosses losses = StepLosses(step, outputs, changes_, old_logits_, &gradients);
   CRAFTFLEET_RETURN_IF_ERROR(Backward(gradients));
   const double norm = StepAdam(step.rows.size(), predicts ? &adams_->prediction : &adams_->matching);

@@ -54,8 +54,7 @@ class ShardedNet final : public DistillationNet {
   void LoadFrames(absl::Span<const int> rows, Shard* shard) const;
 
   const AgentSpec spec_;
-  const AdamOptions options_;
-  const int code_size_;
+  const v1::PpoConfig ppo_;
   const absl::Span<float> weights_;
   DistillationAdams* const adams_;
   WorkerPool* const workers_;

@@ -194,7 +194,7 @@ class DeviceCheck {
     std::vector<float> states(static_cast<size_t>(lanes) * spec.state_size);
     absl::StatusOr<ActResult> result;
     for (int i = 0; i < times; ++i) {
-      result = policy.ActGreedily(frames, all, absl::MakeSpan(states));
+      result = policy.Act(frames, all, /*noise=*/{}, absl::MakeSpan(states));
       CRAFTFLEET_RETURN_IF_ERROR(result.status());
     }
     return result;

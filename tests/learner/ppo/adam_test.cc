@@ -40,11 +40,18 @@ struct Gradient {
   }
 };
 
+v1::PpoConfig AdamConfig(double max_gradient_norm) {
+  v1::PpoConfig config;
+  config.set_learning_rate(3e-4);
+  config.set_adam_epsilon(1e-5);
+  config.set_max_gradient_norm(max_gradient_norm);
+  return config;
+}
+
 AdamState FreshState(size_t size) { return {0, std::vector<float>(size), std::vector<float>(size)}; }
 
 TEST(Adam, FollowsThePublishedFormulas) {
-  AdamOptions options;
-  options.max_gradient_norm = 1e9;
+  const v1::PpoConfig config = AdamConfig(1e9);
   WorkerPool workers(1, [] {});
   const size_t size = Gradient(1, 1).values.size();
   std::vector<float> weights(size, 1.0F);
@@ -64,7 +71,7 @@ TEST(Adam, FollowsThePublishedFormulas) {
       expected[i] -= 3e-4 * (m[i] / (1 - std::pow(0.9, t))) / (std::sqrt(v[i] / (1 - std::pow(0.999, t))) + 1e-5);
     }
     const std::vector<ShardGradient> shards = {first.pieces, second.pieces};
-    EXPECT_NEAR(AdamStep(options, shards, absl::MakeSpan(weights), &state, &workers), std::sqrt(squares), 1e-4);
+    EXPECT_NEAR(AdamStep(config, shards, absl::MakeSpan(weights), &state, &workers), std::sqrt(squares), 1e-4);
     EXPECT_EQ(state.steps, t);
   }
   for (size_t i = 0; i < size; ++i) ASSERT_NEAR(weights[i], expected[i], 1e-6) << i;
@@ -72,14 +79,14 @@ TEST(Adam, FollowsThePublishedFormulas) {
 
 TEST(Adam, ClipsByTheGlobalNorm) {
   WorkerPool workers(1, [] {});
-  AdamOptions options;
+  const v1::PpoConfig config = AdamConfig(0.5);
   for (const float scale : {100.0F, 1e-6F}) {
     Gradient gradient(1, scale);
     const size_t size = gradient.values.size();
     std::vector<float> weights(size);
     AdamState state = FreshState(size);
     const std::vector<ShardGradient> shards = {gradient.pieces};
-    const double norm = AdamStep(options, shards, absl::MakeSpan(weights), &state, &workers);
+    const double norm = AdamStep(config, shards, absl::MakeSpan(weights), &state, &workers);
     const double clip = norm > 0.5 ? 0.5 / norm : 1;
     for (size_t i = 0; i < size; i += 777) {
       EXPECT_NEAR(state.exp_avg[i], 0.1 * gradient.values[i] * clip, 1e-4 * std::abs(state.exp_avg[i]) + 1e-12);
@@ -91,12 +98,11 @@ TEST(DeviceAdam, StepsAsTheCpus) {
   SetUpTorchThread();
   constexpr int kWeights = 70000;
   WorkerPool workers(1, [] {});
-  AdamOptions options;
-  options.max_gradient_norm = 100;  // clips the gradients of odd steps
+  const v1::PpoConfig config = AdamConfig(100);  // clips the gradients of odd steps
   for (const char* device : {"cpu:0", kStandInDevice}) {
     std::vector<float> expected(kWeights, 1);
     AdamState state = {7, std::vector<float>(kWeights, 0.1F), std::vector<float>(kWeights, 0.5F)};
-    DeviceAdam adam(options);
+    DeviceAdam adam(config);
     adam.Load(state, at::Device(device));
     const at::Tensor weights = at::ones({kWeights}).to(at::Device(device));
     for (int step = 0; step < 6; ++step) {
@@ -105,8 +111,8 @@ TEST(DeviceAdam, StepsAsTheCpus) {
         std::transform(gradient.begin(), gradient.end(), gradient.begin(), [](float g) { return 9 * g; });
       const at::Tensor norm = adam.Step(SendFloats(gradient, at::Device(device)), weights);
       const std::vector<ShardGradient> shards = {{absl::MakeSpan(gradient)}};
-      const double expected_norm = AdamStep(options, shards, absl::MakeSpan(expected), &state, &workers);
-      EXPECT_EQ(expected_norm > options.max_gradient_norm, step % 2 == 1);
+      const double expected_norm = AdamStep(config, shards, absl::MakeSpan(expected), &state, &workers);
+      EXPECT_EQ(expected_norm > config.max_gradient_norm(), step % 2 == 1);
       EXPECT_NEAR(norm.cpu().item<double>(), expected_norm, 1e-5 * expected_norm);
     }
     EXPECT_EQ(adam.steps(), state.steps);
@@ -131,7 +137,7 @@ TEST(DeviceAdam, TakesTheNormWithoutACopyInDouble) {
   constexpr int64_t kWeights = 200000;
   const std::vector<float> zeros(kWeights);
   const at::Device device(kStandInDevice);
-  DeviceAdam adam{AdamOptions()};
+  DeviceAdam adam(AdamConfig(0.5));
   adam.Load({0, zeros, zeros}, device);
   int64_t norms = 0;
   ObserveComputations(

@@ -125,8 +125,10 @@ TEST(LagCorrection, TheLossIsTheDecoupledOneAsByHand) {
   const Floats zeros(4);
   Floats by_logits(4 * kNumActions);
   Floats by_values(4);
+  v1::PpoConfig loss_config;
+  loss_config.set_clip(0.2);
   const PpoLossSums sums =
-      PpoLoss(logits, zeros, {corrected.rollout.actions, corrected.rollout.log_probs, advantages, zeros}, {0.2, 0, 0},
+      PpoLoss(logits, zeros, {corrected.rollout.actions, corrected.rollout.log_probs, advantages, zeros}, loss_config,
               1, absl::MakeSpan(by_logits), absl::MakeSpan(by_values));
   double loss = 0;
   const double weights[] = {0.5, 1, 2, 4};

@@ -36,16 +36,20 @@ struct Example {
   PpoTargets targets() const { return {actions, log_probs, advantages, returns}; }
 };
 
-constexpr PpoLossOptions kOptions = {0.2, 0.5, 0.01};
+v1::PpoConfig Config(double entropy_coefficient) {
+  v1::PpoConfig config;
+  config.set_clip(0.2);
+  config.set_value_coefficient(0.5);
+  config.set_entropy_coefficient(entropy_coefficient);
+  return config;
+}
 
 double TotalLoss(const Example& example) {
   std::vector<float> by_logits(kRows * kNumActions);
   std::vector<float> by_values(kRows);
-  const PpoLossSums sums = PpoLoss(example.logits, example.values, example.targets(), kOptions, kRows,
+  const PpoLossSums sums = PpoLoss(example.logits, example.values, example.targets(), Config(0.01), kRows,
                                    absl::MakeSpan(by_logits), absl::MakeSpan(by_values));
-  return (sums.policy_loss + kOptions.value_coefficient * sums.value_loss -
-          kOptions.entropy_coefficient * sums.entropy) /
-         kRows;
+  return (sums.policy_loss + 0.5 * sums.value_loss - 0.01 * sums.entropy) / kRows;
 }
 
 // Slope of the loss along `x`, which belongs to `example`.
@@ -64,7 +68,7 @@ TEST(PpoLoss, GradientIsTheSlopeOfTheLoss) {
   Example example;
   std::vector<float> by_logits(kRows * kNumActions);
   std::vector<float> by_values(kRows);
-  PpoLoss(example.logits, example.values, example.targets(), kOptions, kRows, absl::MakeSpan(by_logits),
+  PpoLoss(example.logits, example.values, example.targets(), Config(0.01), kRows, absl::MakeSpan(by_logits),
           absl::MakeSpan(by_values));
   for (size_t i = 0; i < by_logits.size(); ++i) EXPECT_NEAR(by_logits[i], Slope(&example, &example.logits[i]), 2e-6);
   for (size_t i = 0; i < by_values.size(); ++i) EXPECT_NEAR(by_values[i], Slope(&example, &example.values[i]), 2e-6);
@@ -81,7 +85,7 @@ TEST(PpoLoss, ClipsOnlyWhereItTakesAwayGain) {
     const std::vector<float> advantages = {advantage};
     std::vector<float> by_logits(kNumActions);
     std::vector<float> by_values(1);
-    const PpoLossSums sums = PpoLoss(logits, values, {actions, log_probs, advantages, returns}, {0.2, 0.5, 0}, 1,
+    const PpoLossSums sums = PpoLoss(logits, values, {actions, log_probs, advantages, returns}, Config(0), 1,
                                      absl::MakeSpan(by_logits), absl::MakeSpan(by_values));
     EXPECT_EQ(sums.clipped, 1);
     EXPECT_NEAR(sums.policy_loss, advantage > 0 ? -2.4 : 2 * std::exp(0.5), 1e-5);
@@ -100,7 +104,7 @@ TEST(PpoLoss, AMadeUpLogProbabilityKeepsTheGradientFinite) {
   const std::vector<float> returns = {0};
   std::vector<float> by_logits(kNumActions);
   std::vector<float> by_values(1);
-  PpoLoss(logits, values, {actions, log_probs, advantages, returns}, {0.2, 0.5, 0}, 1, absl::MakeSpan(by_logits),
+  PpoLoss(logits, values, {actions, log_probs, advantages, returns}, Config(0), 1, absl::MakeSpan(by_logits),
           absl::MakeSpan(by_values));
   double squares = 0;
   for (const float x : by_logits) squares += double{x} * x;
@@ -112,7 +116,7 @@ TEST(PpoLoss, PartsOfABatchAddUpToTheWhole) {
   const Example example;
   std::vector<float> by_logits(kRows * kNumActions);
   std::vector<float> by_values(kRows);
-  const PpoLossSums whole = PpoLoss(example.logits, example.values, example.targets(), kOptions, kRows,
+  const PpoLossSums whole = PpoLoss(example.logits, example.values, example.targets(), Config(0.01), kRows,
                                     absl::MakeSpan(by_logits), absl::MakeSpan(by_values));
   PpoLossSums sum;
   for (const size_t first : {size_t{0}, size_t{kRows / 2}}) {
@@ -124,7 +128,7 @@ TEST(PpoLoss, PartsOfABatchAddUpToTheWhole) {
     sum.Add(PpoLoss(
         part(example.logits, kNumActions), part(example.values, 1),
         {part(example.actions, 1), part(example.log_probs, 1), part(example.advantages, 1), part(example.returns, 1)},
-        kOptions, kRows, absl::MakeSpan(part_by_logits), absl::MakeSpan(part_by_values)));
+        Config(0.01), kRows, absl::MakeSpan(part_by_logits), absl::MakeSpan(part_by_values)));
     EXPECT_EQ(absl::MakeConstSpan(part_by_logits), part(by_logits, kNumActions));
     EXPECT_EQ(absl::MakeConstSpan(part_by_values), part(by_values, 1));
   }
@@ -164,16 +168,16 @@ TEST(DeviceLoss, IsTheCpus) {
   const auto floats = [](const at::Tensor& x) { return absl::MakeSpan(x.data_ptr<float>(), x.numel()); };
   std::vector<Action> chosen;
   for (int i = 0; i < kRowsHere; ++i) chosen.push_back(static_cast<Action>(actions[i].item<int64_t>()));
-  const PpoLossOptions options = {0.2, 0.5, 0.03};
+  const v1::PpoConfig config = Config(0.03);
   const at::Tensor by_logits = at::empty_like(logits);
   const at::Tensor by_values = at::empty_like(values);
   const PpoLossSums sums =
-      PpoLoss(floats(logits), floats(values), {chosen, floats(log_probs), advantages, floats(returns)}, options,
+      PpoLoss(floats(logits), floats(values), {chosen, floats(log_probs), advantages, floats(returns)}, config,
               kRowsHere, floats(by_logits), floats(by_values));
   EXPECT_GT(sums.clipped, 5);
   EXPECT_LT(sums.clipped, 45);
   const DeviceLoss loss =
-      PpoLossOnDevice(logits, values, {actions, log_probs, at::tensor(advantages), returns}, options);
+      PpoLossOnDevice(logits, values, {actions, log_probs, at::tensor(advantages), returns}, config);
   EXPECT_TRUE(at::allclose(loss.by_logits, by_logits, 1e-5, 1e-8));
   EXPECT_TRUE(at::allclose(loss.by_values, by_values, 1e-5, 1e-8));
   const double expected[] = {sums.policy_loss, sums.value_loss, sums.entropy, sums.approx_kl, sums.clipped};
@@ -185,7 +189,7 @@ TEST(DeviceLoss, AMadeUpLogProbabilityKeepsTheGradientFinite) {
   SetUpTorchThread();
   const at::Tensor zero = at::zeros({1});
   const DeviceTargets targets = {at::zeros({1}, at::kLong), at::full({1}, -104.0F), at::full({1}, -8.0F), zero};
-  const DeviceLoss loss = PpoLossOnDevice(at::zeros({1, kNumActions}), zero, targets, {0.2, 0.5, 0});
+  const DeviceLoss loss = PpoLossOnDevice(at::zeros({1, kNumActions}), zero, targets, Config(0));
   EXPECT_GT(loss.by_logits.abs().max().item<double>(), 0);
   EXPECT_LT(loss.by_logits.abs().max().item<double>(), 1e15);
 }

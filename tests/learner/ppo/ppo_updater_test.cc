@@ -118,7 +118,7 @@ TEST_P(PpoUpdaterGolden, StepsOnOneMinibatchMatch) {
   const nlohmann::json& after = batch["after"];
   std::vector<int> lanes(n);
   std::iota(lanes.begin(), lanes.end(), 0);
-  const ActResult acts = *(*Policy::Create(spec, *updater->SaveWeights(), n))->ActGreedily(owned.frames, lanes, {});
+  const ActResult acts = *(*Policy::Create(spec, *updater->SaveWeights(), n))->Act(owned.frames, lanes, {}, {});
   for (int row = 0; row < n; ++row) {
     near(acts.values[row], after["values"][row], "value");
     near(acts.odds[row].log_probs[static_cast<int>(owned.rollout.actions[row])], after["log_prob"][row], "log_prob");

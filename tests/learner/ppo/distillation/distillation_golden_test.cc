@@ -13,6 +13,7 @@
 #include <torch/csrc/autograd/autograd.h>
 #include <torch/version.h>
 
+#include "common/agent/aligned_weights.h"
 #include "common/agent/policy.h"
 #include "common/agent/policy_net.h"
 #include "common/agent/torch_setup.h"
@@ -117,7 +118,7 @@ TEST(DistillationGolden, APolicyRemembersTheChangeOfFeatures) {
   for (size_t i = 0; i < expected.size(); ++i) EXPECT_NEAR(memory[i], expected[i].get<double>(), 1e-5) << i;
   // Acting leaves memories as they are, and a lane's does not depend on other lanes.
   const std::vector<float> alone = memory;
-  ASSERT_TRUE(policy->ActGreedily(frame(1), {5}, absl::MakeSpan(memory)).ok());
+  ASSERT_TRUE(policy->Act(frame(1), {5}, /*noise=*/{}, absl::MakeSpan(memory)).ok());
   EXPECT_EQ(memory, alone);
   std::vector<float> both(2 * kCode);
   ASSERT_TRUE(policy->Remember(frame(2) + frame(0), frame(3) + frame(1), {8, 5}, absl::MakeSpan(both)).ok());
@@ -187,6 +188,8 @@ void ExpectPpoSteps(const std::string& agent, const json& part, const json& of_a
   const AgentSpec spec = *FindAgent(agent);
   std::vector<float> weights = GoldenWeights(spec, Golden());
   PolicyNet net(spec, PolicyNet::Use::kTraining, absl::MakeSpan(weights));
+  v1::PpoConfig config = Config(agent, part).ppo();
+  config.set_entropy_coefficient(0.01);
   const int n = part["n"];
   const at::Tensor frames = AsInput(GoldenFrames(part["frames_seed"], n, 64), spec);
   Segments inputs;
@@ -208,8 +211,8 @@ void ExpectPpoSteps(const std::string& agent, const json& part, const json& of_a
     const at::Tensor by_values = at::empty_like(output.values);
     const auto span = [](const at::Tensor& tensor) { return absl::MakeSpan(tensor.data_ptr<float>(), tensor.numel()); };
     const PpoLossSums sums =
-        PpoLoss(span(output.logits), span(output.values), {actions, log_probs, advantages, returns}, {0.2, 0.5, 0.01},
-                n, span(by_logits), span(by_values));
+        PpoLoss(span(output.logits), span(output.values), {actions, log_probs, advantages, returns}, config, n,
+                span(by_logits), span(by_values));
     net.ClearGradients();
     torch::autograd::backward({output.logits, output.values}, {by_logits, by_values});
     const double total = step["grad_norm_total"];
@@ -218,11 +221,8 @@ void ExpectPpoSteps(const std::string& agent, const json& part, const json& of_a
     EXPECT_NEAR(sums.value_loss / n, step["value_loss"].get<double>(), tolerance) << i;
     EXPECT_NEAR(sums.entropy / n, step["entropy"].get<double>(), tolerance) << i;
     EXPECT_NEAR(norm.Scale().mean, step["normaliser"]["mean"].get<double>(), 1e-6) << i;
-    AdamOptions options;
-    options.learning_rate = part["learning_rate"];
-    options.epsilon = part["adam_epsilon"];
     const ShardGradient gradient = net.gradients();
-    const double norm_before_clipping = AdamStep(options, {gradient}, absl::MakeSpan(weights), &adam, &workers);
+    const double norm_before_clipping = AdamStep(config, {gradient}, absl::MakeSpan(weights), &adam, &workers);
     EXPECT_NEAR(norm_before_clipping, total, total * NormTolerance(i)) << i;
     if (i == 0) ExpectNorms(GradientNorms(spec, adam, total), step["grad_norms"]);
   }
@@ -368,8 +368,8 @@ class DistillationStepsGolden : public testing::TestWithParam<const char*> {  //
   WorkerPool workers_;
   DistillationAdams adams_;
   DeviceWeights device_weights_;
-  DeviceAdam device_matching_{AdamOptionsOf(config_.ppo())};
-  DeviceAdam device_prediction_{AdamOptionsOf(config_.ppo())};
+  DeviceAdam device_matching_{config_.ppo()};
+  DeviceAdam device_prediction_{config_.ppo()};
   const std::unique_ptr<DistillationNet> net_;
   DistillationSteps steps_;
   KeptEpisode source_, target_;
