@@ -24,7 +24,7 @@
 #include "learner/service/learner_service.h"
 #include "learner/training/distributed/rank_leader.h"
 #include "learner/training/evaluation_planner.h"
-#include "learner/training/fragments/fragment_queue.h"
+#include "learner/training/fragments/fragment_collector.h"
 #include "learner/training/records/checkpoint_requests.h"
 #include "learner/training/trainer.h"
 #include "learner/training/weight_store.h"

@@ -14,7 +14,7 @@ class EchoService : public v1::EnvironmentService::Service {
  public:
   grpc::Status Play(grpc::ServerContext* context,
                     grpc::ServerReaderWriter<v1::PlayReply, v1::PlayRequest>* stream) override {
-    identity_ = Identify(nullptr, *context);
+    identity_ = Identify(*context);
     v1::PlayRequest request;
     while (stream->Read(&request)) stream->Write({});
     ++ended_;

@@ -74,7 +74,7 @@ inline Moment SampleMoment(int number) {
   moment.frame = "frame of m." + std::to_string(number);
   moment.picture = "a larger picture of moment " + std::to_string(number);
   moment.picture.resize(27);
-  moment.semantic.assign(kWorldSize * kWorldSize, static_cast<char>(number % 19));
+  moment.semantic.assign(kWorldSize * kWorldSize, static_cast<char>(1 + number % 18));
   moment.player_x = 63 - number;
   moment.player_y = number;
   for (int i = 0; i < kNumItems; ++i) moment.inventory[i] = (i + number) % 10;
