@@ -114,19 +114,17 @@ std::string PrecisionName(const v1::RunConfig& config) {
 }
 
 // Of the game with these textures.
-absl::StatusOr<std::string> ExpectedGame(const std::string& texture_dir, absl::string_view texture_digest) {
+absl::StatusOr<std::string> ExpectedGame(const Textures& textures, absl::string_view texture_digest) {
   const absl::string_view known = KnownGameCanary(texture_digest);
   if (!known.empty()) return std::string(known);
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::shared_ptr<const Textures> textures, Textures::Load(texture_dir));
-  return GameCanary(*textures);
+  return GameCanary(textures);
 }
 
 // InvalidArgument if the textures lack variants of objects that an environment of the run shows.
-absl::Status CheckDrawable(const std::string& texture_dir, const v1::RunConfig& config) {
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::shared_ptr<const Textures> textures, Textures::Load(texture_dir));
+absl::Status CheckDrawable(const Textures& textures, const v1::RunConfig& config) {
   for (const std::string& env : {config.env().name(), config.eval().env()}) {
     CRAFTFLEET_ASSIGN_OR_RETURN(const EnvName name, EnvName::Parse(env));
-    const absl::Status status = Renderer::Create(*textures, WorldOptions::FromEnvName(name), {}).status();
+    const absl::Status status = Renderer::Create(textures, WorldOptions::FromEnvName(name), {}).status();
     if (status.ok()) continue;
     return absl::InvalidArgumentError(
         absl::StrFormat("environment %s: %s; give --textures with all variants of objects", env, status.message()));
@@ -242,13 +240,14 @@ absl::StatusOr<Learner::Loaded> Learner::Load(const Options& options, const v1::
   loaded.config = config;
   loaded.clock = std::make_unique<RealClock>();
   CRAFTFLEET_ASSIGN_OR_RETURN(loaded.texture_digest, TextureDigest(options.texture_dir));
-  CRAFTFLEET_RETURN_IF_ERROR(CheckDrawable(options.texture_dir, config));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::shared_ptr<const Textures> textures, Textures::Load(options.texture_dir));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckDrawable(*textures, config));
   const bool loads_weights = options.resume || !options.init_from.empty();
   CRAFTFLEET_ASSIGN_OR_RETURN(loaded.updater, PpoUpdater::Create(config, options.threads, options.device,
                                                                  loads_weights ? PpoUpdater::Start::kZeros
                                                                                : PpoUpdater::Start::kInitialWeights));
   if (options.device != "cpu") LogInfo("updates on %s, precision %s", options.device, PrecisionName(config));
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string game, ExpectedGame(options.texture_dir, loaded.texture_digest));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string game, ExpectedGame(*textures, loaded.texture_digest));
   CRAFTFLEET_ASSIGN_OR_RETURN(loaded.build, ExpectedBuild(config, game, options.allow_mixed));
   if (!options.resume) {
     std::string origin;

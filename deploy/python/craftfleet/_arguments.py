@@ -14,7 +14,6 @@ from typing import Any
 from craftfleet import _engine
 
 MAX_INT = 2**31 - 1
-MAX_PIXELS = 2048  # of a picture, each way
 MAX_SEED = 2**63 - 1
 
 Pair = tuple[int, int]
@@ -43,13 +42,13 @@ def pair(name: str, value: Any) -> Pair:
   return integer(f"{name}[0]", parts[0], 1, MAX_INT), integer(f"{name}[1]", parts[1], 1, MAX_INT)
 
 
-def picture_size(name: str, value: Any, shared: _engine.Setup) -> Pair:
-  """The pixels of a picture. ValueError: not what the view allows, in the words of the engine, which checks when it draws."""
+def picture_size(name: str, value: Any, setup: _engine.Setup) -> Pair:
+  """The pixels of a picture. ValueError: not what the view allows."""
   size = pair(name, value)
-  for side, pixels, cells in zip(("width", "height"), size, shared.arguments[2]):
-    if not 2 * cells <= pixels <= MAX_PIXELS:
-      raise ValueError(
-          f"{name} {value!r}: picture {side} {pixels}, want {2 * cells}..{MAX_PIXELS} pixels for a view of {cells} cells")
+  try:
+    setup.check_picture(size)
+  except ValueError as error:
+    raise ValueError(f"{name} {value!r}: {error}") from None
   return size
 
 

@@ -115,7 +115,10 @@ void DefineSetup(nb::module_& m) {
             return nb::make_tuple(options.env, pair(options.area), pair(options.view), pair(options.size),
                                   options.length, options.textures);
           },
-          "The arguments of create().");
+          "The arguments of create().")
+      .def(
+          "check_picture", [](const Setup& setup, Setup::Pair size) { Value(setup.RendererOf(size)); }, "size"_a,
+          "ValueError: a size out of its range.");
 }
 
 // A picture of `size` that `draw` fills.
